@@ -1,0 +1,328 @@
+"""Models of a campaign configuration. Units stand in the names; unknown keys are refused with the nearest known one.
+
+A configuration is one TOML file. `[camera]`, `[lidar]`, `[platform]` and `[site]` may name a ready-made device with
+`use = "name"` (configs/sensors, configs/platforms, configs/sites); keys beside `use` override that file's.
+Reading, merging and the errors live in `campaign.load`; no default here depends on another value.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+Vector3 = tuple[float, float, float]
+
+
+class Model(BaseModel):
+    """Frozen; a key that is not a field is an error; NaN and infinity are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class CampaignInfo(Model):
+    """Who, where, when."""
+
+    id: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
+    title: str = "Multi-sensor consistency test"
+    start_time: str = Field("2026-06-12T10:30:00+08:00", description="ISO 8601 with UTC offset; first strip begins here")
+    operator: str = ""
+    purpose: str = ""
+
+
+class Site(Model):
+    """The range: its origin (world frame ENU), map projection, terrain."""
+
+    name: str = "Range"
+    latitude_deg: Annotated[float, Field(ge=-85.0, le=85.0)] = 31.283
+    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 121.213
+    ellipsoid_height_m: Annotated[float, Field(ge=-500.0, le=9000.0)] = 18.0
+    height_anomaly_m: Annotated[float, Field(ge=-120.0, le=120.0)] = Field(
+        11.2, description="ellipsoidal minus normal (1985) height"
+    )
+    projection_epsg: int = Field(4549, description="CGCS2000 3-degree Gauss-Krueger zone: 4513-4533 or 4534-4554")
+    height_epsg: int = Field(5737, description="1985 national height datum")
+    slope_deg: Annotated[float, Field(ge=0.0, lt=45.0)] = 1.0
+    slope_azimuth_deg: float = Field(135.0, description="direction in which the ground falls, clockwise from north")
+    relief_m: Annotated[float, Field(ge=0.0, le=5.0)] = Field(0.03, description="standard deviation of the undulation")
+    extent_m: Annotated[float, Field(gt=20.0, le=2000.0)] = Field(240.0, description="edge of the square of terrain")
+    ground_material: str = "dry_grass"
+    texture_contrast: Fraction = Field(0.25, description="relative standard deviation of the ground's reflectance")
+    texture_scale_m: Positive = Field(0.04, description="finest wavelength of the ground's texture")
+
+
+class Environment(Model):
+    """Air and wind, constant over a campaign."""
+
+    visibility_km: Positive = 23.0
+    temperature_c: Annotated[float, Field(ge=-60.0, le=60.0)] = 24.0
+    pressure_hpa: Annotated[float, Field(ge=400.0, le=1100.0)] = 1010.0
+    relative_humidity_percent: Annotated[float, Field(ge=0.0, le=100.0)] = 55.0
+    wind_speed_m_s: NonNegative = 3.0
+    wind_from_deg: float = Field(120.0, description="direction the wind blows from, clockwise from north")
+    aerosol_optical_depth_500nm: NonNegative = 0.12
+    precipitable_water_cm: NonNegative = 2.0
+    ozone_atm_cm: NonNegative = 0.3
+    satellites: Annotated[int, Field(ge=0, le=80)] = 22
+    obstacle_angle_deg: Annotated[float, Field(ge=0.0, le=90.0)] = 8.0
+
+
+class Panels(Model):
+    """Reflectance panels (6.2.2 a-b, 8.1.2 a)."""
+
+    size_m: Positive = 1.2
+    nominal_reflectance_percent: tuple[float, ...] = (5.0, 20.0, 40.0, 60.0, 100.0)
+    count_of_each: Annotated[int, Field(ge=1, le=50)] = 4
+    material: Literal["barium_sulfate", "ptfe", "water_based_paint"] = "ptfe"
+    thickness_m: Positive = 0.02
+    stand_height_m: NonNegative = 0.15
+    spectrum_std: NonNegative = Field(0.01, description="relative spread of the level from panel to panel")
+
+
+class Frustums(Model):
+    """Geometric targets (6.2.2 c-g, figure 2). Legs are b/2 and faces stand at 54.74 degrees by the standard's angles."""
+
+    count: Annotated[int, Field(ge=0, le=400)] = 24
+    style: Literal["inverted", "upright"] = "inverted"
+    long_edge_m: Positive = Field(0.8, description="b, the edge of the large rim")
+    thickness_m: NonNegative = Field(0.0015, description="sheet metal")
+    mark_radius_m: Positive = 0.16
+    stand_heights_m: tuple[NonNegative, ...] = (0.15, 0.6, 1.1)
+    material: Literal["barium_sulfate", "ptfe", "water_based_paint"] = "barium_sulfate"
+
+
+class Survey(Model):
+    """Standard deviations of the control survey, one axis each."""
+
+    horizontal_std_m: NonNegative = 0.003
+    height_std_m: NonNegative = 0.004
+    spectrometer_std: NonNegative = Field(0.003, description="relative, of each panel's measured spectrum")
+
+
+class Targets(Model):
+    panels: Panels = Panels()
+    frustums: Frustums = Frustums()
+    survey: Survey = Survey()
+    layout_margin: Annotated[float, Field(ge=0.0, lt=0.5)] = Field(
+        0.10, description="part of the common field kept free at its border"
+    )
+
+
+class Band(Model):
+    """One colour channel: a Gaussian response."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    centre_nm: Annotated[float, Field(ge=400.0, le=1000.0)]
+    fwhm_nm: Positive
+
+
+class Lens(Model):
+    """Brown-Conrady: radial k1 k2 k3, tangential p1 p2, on normalised image coordinates (OpenCV's order of p1, p2)."""
+
+    fx_px: Positive
+    fy_px: Positive
+    cx_px: Positive = Field(description="from the image's top left corner: the first pixel's centre is at 0.5")
+    cy_px: Positive
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+
+
+class Camera(Model):
+    """A frame camera: geometry, radiometry (EMVA 1288), and what its maker states."""
+
+    use: str | None = None
+    name: str = "camera"
+    manufacturer: str = ""
+    width_px: Annotated[int, Field(ge=64, le=20000)]
+    height_px: Annotated[int, Field(ge=64, le=20000)]
+    pixel_size_um: Positive
+    nominal_focal_length_mm: Positive
+    f_number: Positive = 5.6
+    lens: Lens = Field(description="the true interior orientation; the certificate is a draw around it")
+    calibration_std: tuple[float, ...] = Field(
+        (0.15, 0.15, 0.15, 0.15, 4e-5, 1.5e-4, 2e-4, 6e-6, 6e-6),
+        min_length=9,
+        max_length=9,
+        description="standard deviations of the certificate: fx fy cx cy k1 k2 k3 p1 p2",
+    )
+    bands: Annotated[tuple[Band, ...], Field(min_length=1, max_length=3)]
+    bit_depth: Annotated[int, Field(ge=8, le=16)] = 14
+    black_level_dn: NonNegative = 256.0
+    full_well_e: Positive = 50000.0
+    read_noise_e: NonNegative = 3.0
+    dark_current_e_s: NonNegative = 1.0
+    quantum_efficiency: Fraction = 0.5
+    prnu: NonNegative = Field(0.004, description="relative pixel to pixel gain spread (flat-fielded residual)")
+    dsnu_e: NonNegative = 1.0
+    vignetting: Fraction = Field(0.0, description="residual relative fall-off at the corner after the maker's correction")
+    psf_sigma_px: NonNegative = Field(0.45, description="optics and pixel diffusion, before the pixel's own box")
+    exposure_time_s: Positive = 1.0 / 2000.0
+    shutter: Literal["global", "rolling"] = "global"
+    readout_time_s: NonNegative = Field(0.0, description="first to last row, rolling shutter only")
+    exposure_target: Fraction = Field(
+        0.80, description="part of full scale that a level 100 % reflector shall reach; sets the gain at the first strip"
+    )
+
+
+class Scanner(Model):
+    """How the beam moves. `line`: one beam turned by a mirror about the flight axis; `channels`: a spinning fan."""
+
+    type: Literal["line", "channels"] = "line"
+    scan_rate_hz: Positive = Field(100.0, description="lines (turns) a second")
+    sector_deg: tuple[float, float] = Field((-45.0, 45.0), description="encoder angles kept, 0 = nadir, positive right")
+    channel_elevations_deg: tuple[float, ...] = Field((), description="`channels` only: tilt of each beam, along track")
+    turn_share: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
+        1.0, description="share of one turn of the beam per scan line (1: 360 degrees)"
+    )
+
+
+class Lidar(Model):
+    """A waveform LiDAR: geometry, radiometry, digitiser, and its own echo detector."""
+
+    use: str | None = None
+    name: str = "lidar"
+    manufacturer: str = ""
+    wavelength_nm: Annotated[float, Field(ge=400.0, le=1700.0)] = 1550.0
+    prr_hz: Positive = 300_000.0
+    scanner: Scanner = Scanner()
+    divergence_rad: Positive = Field(0.0005, description="full angle at 1/e^2 of the peak irradiance")
+    subrays: Annotated[int, Field(ge=1, le=1024)] = 19
+    pulse_energy_uj: Positive = 0.5
+    pulse_fwhm_ns: Positive = 4.0
+    aperture_diameter_m: Positive = 0.05
+    system_efficiency: Fraction = 0.6
+    receiver_fwhm_ns: NonNegative = Field(1.5, description="impulse response of detector and amplifier")
+    sampling_ns: Positive = 1.0
+    samples: Annotated[int, Field(ge=16, le=1024)] = 64
+    bit_depth: Annotated[int, Field(ge=8, le=16)] = 12
+    full_scale_power_nw: Positive = Field(400.0, description="optical power at the digitiser's last step")
+    baseline_dn: NonNegative = 60.0
+    noise_dn: NonNegative = Field(2.0, description="standard deviation of detector and amplifier noise")
+    shot_noise_dn: NonNegative = Field(0.25, description="added variance is this squared times the signal in DN")
+    solar_background_dn: NonNegative = 1.0
+    gain_jitter: NonNegative = Field(0.01, description="relative pulse energy spread")
+    range_noise_m: NonNegative = Field(0.003, description="timing jitter of a pulse, as range")
+    threshold_sigma: Positive = 6.0
+    max_returns: Annotated[int, Field(ge=1, le=15)] = 5
+    min_range_m: NonNegative = 3.0
+    stated_precision_m: Positive = 0.005
+    stated_accuracy_m: Positive = 0.010
+    encoder_std_deg: NonNegative = 0.001
+
+
+class Mounting(Model):
+    """Nominal mounting of one sensor: what the maker's drawing says."""
+
+    lever_arm_m: Vector3 = Field((0.0, 0.0, 0.0), description="sensor's origin in the body frame, x forward y right z down")
+    boresight_deg: Vector3 = Field((0.0, 0.0, 0.0), description="roll pitch yaw of the nominal mounting")
+
+
+class Platform(Model):
+    """The aircraft and the nominal mounting of its sensors."""
+
+    use: str | None = None
+    name: str = "multirotor"
+    kind: Literal["multirotor", "fixed_wing"] = "multirotor"
+    max_acceleration_m_s2: Positive = 2.5
+    roll_std_deg: NonNegative = 0.6
+    pitch_std_deg: NonNegative = 0.6
+    heading_std_deg: NonNegative = 0.4
+    attitude_period_s: Positive = 3.0
+    track_std_m: NonNegative = Field(0.10, description="how well the autopilot holds the line, one axis")
+    pitch_per_speed_deg_s_m: float = Field(-0.3, description="nose-down pitch per m/s of air speed")
+    camera: Mounting = Mounting(lever_arm_m=(0.10, 0.03, 0.08))
+    lidar: Mounting = Mounting(lever_arm_m=(-0.05, -0.02, 0.12))
+    mounting_boresight_std_deg: Positive = Field(1.0, description="how far the true mounting may be off, prior")
+    mounting_lever_arm_std_m: Positive = Field(0.10, description="the same for the lever arm")
+
+
+class Flight(Model):
+    """Strips: every height is one sortie, every heading one strip (or `strips_per_heading`) through the range's centre."""
+
+    heights_m: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=12)] = (45.0, 65.0)
+    headings_deg: Annotated[tuple[float, ...], Field(min_length=1, max_length=24)] = (0.0, 180.0, 90.0, 270.0)
+    strips_per_heading: Annotated[int, Field(ge=1, le=50)] = 1
+    side_overlap: Annotated[float, Field(ge=0.0, lt=0.95)] = 0.7
+    speed_m_s: Annotated[float, Field(gt=0.0, le=60.0)] = 5.0
+    images_per_strip: Annotated[int, Field(ge=1, le=500)] = 2
+    image_spacing_m: Positive = Field(6.0, description="between exposures, symmetric about the strip's middle")
+    run_in_m: NonNegative = Field(4.0, description="LiDAR on, before and after the range, on each strip")
+    gsd_m: Positive | None = Field(None, description="when given, (1) must agree with heights_m within 5 %")
+
+
+class Navigation(Model):
+    """Errors of the post-processed trajectory: first-order Gauss-Markov processes."""
+
+    grade: Literal["apx15", "apx20", "apogee", "perfect", "custom"] = "apogee"
+    position_std_m: Vector3 | None = Field(None, description="north east down; only with grade = custom")
+    attitude_std_deg: Vector3 | None = Field(None, description="roll pitch heading; only with grade = custom")
+    position_correlation_s: Positive = 60.0
+    attitude_correlation_s: Positive = 120.0
+    rate_hz: Annotated[float, Field(ge=20.0, le=1000.0)] = 200.0
+    clock_std_s: NonNegative = 0.0
+
+
+class Faults(Model):
+    """What is wrong with the integration, on purpose. Kept under truth/. Added to the nominal mounting."""
+
+    camera_boresight_deg: Vector3 = (0.0, 0.0, 0.0)
+    lidar_boresight_deg: Vector3 = (0.0, 0.0, 0.0)
+    camera_lever_arm_m: Vector3 = (0.0, 0.0, 0.0)
+    lidar_lever_arm_m: Vector3 = (0.0, 0.0, 0.0)
+    camera_clock_s: float = Field(0.0, description="stamped minus true time")
+    lidar_clock_s: float = 0.0
+    range_offset_m: float = Field(0.0, description="measured = true + offset + scale * true")
+    range_scale: float = 0.0
+    lidar_gain: Positive = Field(1.0, description="factor on the received power")
+    camera_gain: Positive = 1.0
+
+
+class Render(Model):
+    """Samples. Powers of two."""
+
+    samples: Literal[1, 2, 4, 8, 16, 32, 64, 128] = 4
+    target_samples: Literal[1, 2, 4, 8, 16, 32, 64, 128, 256, 512] = 32
+    bounces: Annotated[int, Field(ge=0, le=8)] = 1
+    seed: int | None = Field(None, ge=0, description="of the render's samples; the campaign's seed when absent")
+    cache: str | None = Field(None, description="folder that keeps rendered radiance between runs")
+
+
+class LidarRecording(Model):
+    """What of the LiDAR is stored."""
+
+    waveforms: Literal["all", "targets"] = "all"
+    target_margin_m: NonNegative = 1.5
+    pulses_per_chunk: Literal[65536, 131072, 262144] = 65536
+
+
+class Config(Model):
+    """One campaign."""
+
+    schema_version: Literal[1] = 1
+    campaign: CampaignInfo
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    site: Site = Site()
+    environment: Environment = Environment()
+    targets: Targets = Targets()
+    platform: Platform = Platform()
+    camera: Camera
+    lidar: Lidar = Lidar()
+    flight: Flight = Flight()
+    navigation: Navigation = Navigation()
+    faults: Faults = Faults()
+    render: Render = Render()
+    recording: LidarRecording = LidarRecording()
+
+
+# Standard deviations of post-processed navigation: position north/east/down [m], attitude roll/pitch/heading [deg].
+# Attitude: makers' data sheets (APX-15: 0.025/0.08; APX-20: 0.015/0.035; SBG Apogee: 0.005/0.01). Position: PPK, 1-2 cm.
+NAVIGATION_GRADES: dict[str, tuple[Vector3, Vector3]] = {
+    "apx15": ((0.02, 0.02, 0.03), (0.025, 0.025, 0.08)),
+    "apx20": ((0.02, 0.02, 0.03), (0.015, 0.015, 0.035)),
+    "apogee": ((0.01, 0.01, 0.015), (0.005, 0.005, 0.01)),
+    "perfect": ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+}
