@@ -1,0 +1,105 @@
+"""What passes between the rooms of the evaluator: the campaign as read, observations, the mounting solution."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from campaign.errors import TestrangeError
+from campaign.folder import CampaignFolder, SortieFolder
+from campaign.manifest import Manifest
+from campaign.records import EnvironmentRow, Exposure, FlightPlan
+from campaign.sensors import CameraSheet, LidarSheet, Rig
+from campaign.survey import Spectra, SurveyedTarget
+from campaign.trajectory import Trajectory
+
+
+class EvaluationError(TestrangeError):
+    """An indicator cannot be computed; the reason is its text."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SortieData:
+    folder: SortieFolder
+    trajectory: Trajectory | None
+    exposures: tuple[Exposure, ...]
+    environment: tuple[EnvironmentRow, ...]
+    strips: tuple[int, ...]  # numbers of the LiDAR strips on disk
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignData:
+    """What a folder holds; a part that is absent is None or empty."""
+
+    folder: CampaignFolder
+    manifest: Manifest
+    plan: FlightPlan | None
+    targets: tuple[SurveyedTarget, ...]
+    spectra: Spectra | None
+    camera: CameraSheet | None
+    lidar: LidarSheet | None
+    rig: Rig | None
+    sorties: tuple[SortieData, ...]
+    problems: tuple[str, ...] = ()  # parts that could not be read, one line each
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mounting:
+    """body_from_sensor: rotation (3, 3), lever arm (3,) [m]."""
+
+    rotation: np.ndarray
+    lever_arm_m: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkObservation:
+    """The centre of one frustum target's mark in one image."""
+
+    target: str
+    sortie: int
+    strip: int
+    image: str
+    gps_time_s: float  # of the row of the image in which the mark lies
+    uv_px: np.ndarray  # (2,) as observed (distorted); the first pixel's centre is (0.5, 0.5)
+    covariance_px2: np.ndarray  # (2, 2)
+    radius_px: float  # of the region that was fitted
+    picked_by: str = "evaluator"  # or the campaign's observations file
+
+
+@dataclass(frozen=True, kw_only=True)
+class VertexObservation:
+    """The common vertex of one frustum target's faces from one strip, in the LiDAR frame at `gps_time_s`."""
+
+    target: str
+    sortie: int
+    strip: int
+    gps_time_s: float  # mean time of the points used
+    time_spread_s: float
+    point_lidar_m: np.ndarray  # (3,)
+    covariance_m2: np.ndarray  # (3, 3)
+    faces: int  # planes used
+    points: int  # returns used
+    rms_m: float  # of the residuals along the ray
+
+
+@dataclass(frozen=True, kw_only=True)
+class MountingSolution:
+    """Result of the joint adjustment (21)-(23). Parameters: camera roll pitch yaw [rad], lever arm x y z [m], LiDAR the same.
+
+    body_from_sensor = dR(roll, pitch, yaw) * nominal rotation, lever arm = nominal + d.
+    """
+
+    names: tuple[str, ...]  # 12: camera_boresight_roll ... lidar_lever_arm_z
+    parameters: np.ndarray  # (12,) rad and m, against nominal
+    covariance: np.ndarray  # (12, 12)
+    body_from_camera: Mounting
+    body_from_lidar: Mounting
+    camera_from_lidar_rotation: np.ndarray  # (3, 3)
+    camera_from_lidar_translation_m: np.ndarray  # (3,)
+    camera_from_lidar: np.ndarray  # (6,) roll pitch yaw [rad] of nominal^-1 * estimated, x y z [m] of the translation
+    camera_from_lidar_covariance: np.ndarray  # (6, 6)
+    vertices_world_m: dict[str, np.ndarray]  # adjusted
+    iterations: int
+    sigma0: float  # a posteriori standard deviation of unit weight
+    redundancy: int
+    rejected: tuple[str, ...] = ()  # observations left out as blunders, one line each
+    companions: dict[str, object] = field(default_factory=dict)  # e.g. the single-instant solution
