@@ -1,5 +1,7 @@
 """Errors that a user reads: one line that says what, where, got, expected and the remedy. No traceback is shown for them."""
 
+from collections.abc import Sequence
+
 
 class TestrangeError(Exception):
     """Base of every error that is the input's fault; the command line prints it as one line and exits with 1.
@@ -14,6 +16,8 @@ class TestrangeError(Exception):
         The value found, and what would be right.
     remedy : str, optional
         What the user can do.
+    problems : sequence of str, optional
+        Every problem, one line each, where one reading found several; the text names the first and counts the rest.
     """
 
     __test__ = False  # the name starts with "Test"; pytest must not collect it
@@ -26,6 +30,7 @@ class TestrangeError(Exception):
         got: object = None,
         expected: object = None,
         remedy: str | None = None,
+        problems: Sequence[str] = (),
     ) -> None:
         parts = [f"{where}: {what}" if where else what]
         if got is not None:
@@ -37,6 +42,7 @@ class TestrangeError(Exception):
         super().__init__(" ".join("; ".join(parts).split()))
         self.what = what
         self.where = where
+        self.problems = tuple(problems) or (str(self),)
 
 
 class ConfigError(TestrangeError):
