@@ -1,0 +1,134 @@
+"""LiDAR points between map, world and sensor frame, nominal mountings, and the returns near each target.
+
+LAS coordinates are georeferenced with the nominal mounting and the estimated trajectory; undoing that gives back what the
+sensor itself measured, whatever the mounting's error.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from campaign.las import Returns, StripReader
+from campaign.sensors import MountingSheet, Rig
+from campaign.trajectory import Trajectory
+from evaluator.frames import WorldFrame, body_pose, euler_rotation
+from evaluator.model import CampaignData, Mounting
+
+# A camera that looks down with its image's top ahead: x right = body y, y down the image = body -x, z forward = body z.
+_BODY_FROM_NADIR_CAMERA = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetReturns:
+    """Returns of one strip within a horizontal radius of one target's surveyed place (nominal mounting)."""
+
+    target: str
+    sortie: int
+    strip: int
+    record: np.ndarray  # (n,) int64 number of the row in the strip's LAS file
+    returns: Returns
+
+
+def mounting_from_sheet(sheet: MountingSheet) -> Mounting:
+    """The nominal body_from_sensor that the rig's drawing states."""
+    rotation = euler_rotation(*np.radians(np.asarray(sheet.boresight_deg, dtype=np.float64)))
+    if sheet.axes == "rdf_nadir":
+        rotation = rotation @ _BODY_FROM_NADIR_CAMERA
+    return Mounting(rotation=rotation, lever_arm_m=np.asarray(sheet.lever_arm_m, dtype=np.float64))
+
+
+def nominal_mountings(rig: Rig) -> tuple[Mounting, Mounting]:
+    """(body_from_camera, body_from_lidar) as drawn."""
+    return mounting_from_sheet(rig.camera), mounting_from_sheet(rig.lidar)
+
+
+def lidar_points(
+    map_xyz_m: np.ndarray, gps_time_s: np.ndarray, trajectory: Trajectory, rig: Rig, world_frame: WorldFrame
+) -> np.ndarray:
+    """What the LiDAR measured, (n, 3) in its own frame, from georeferenced map points (n, 3) and their stamped times. [m]"""
+    nominal = mounting_from_sheet(rig.lidar)
+    position, world_from_body = body_pose(trajectory, gps_time_s, world_frame)
+    in_body = np.einsum("nji,nj->ni", world_from_body, world_frame.world_from_map(map_xyz_m) - position)
+    return np.asarray((in_body - nominal.lever_arm_m) @ nominal.rotation)
+
+
+def world_points(
+    p_lidar_m: np.ndarray, gps_time_s: np.ndarray, trajectory: Trajectory, mounting: Mounting, world_frame: WorldFrame
+) -> np.ndarray:
+    """World points (n, 3) of points in a sensor's frame through a mounting and the trajectory. [m]"""
+    position, world_from_body = body_pose(trajectory, gps_time_s, world_frame)
+    in_body = np.asarray(p_lidar_m) @ mounting.rotation.T + mounting.lever_arm_m
+    return np.asarray(position + np.einsum("nij,nj->ni", world_from_body, in_body))
+
+
+def select_returns(returns: Returns, index: np.ndarray) -> Returns:
+    """The rows `index` (integers or mask) of every column."""
+    return Returns(**{f.name: getattr(returns, f.name)[index] for f in fields(Returns)})
+
+
+def concatenate_returns(parts: list[Returns]) -> Returns:
+    """Rows of all parts, in order."""
+    return Returns(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Returns)})
+
+
+def _near_any(xy_m: np.ndarray, centres_xy_m: np.ndarray, radius_m: float) -> np.ndarray:
+    """Rows of (n, 2) that lie in a grid cell touched by any centre's square: a cheap superset of the circles."""
+    low = centres_xy_m.min(axis=0) - 2.0 * radius_m
+    size = np.ceil((centres_xy_m.max(axis=0) - low) / radius_m).astype(np.int64) + 4
+    if int(size[0]) * int(size[1]) > 20_000_000:  # targets very far apart: leave the grid out
+        return np.arange(len(xy_m))
+    occupied = np.zeros(tuple(size), dtype=bool)
+    cell = np.floor((centres_xy_m - low) / radius_m).astype(np.int64)
+    for dx in (-1, 0, 1):
+        for dy in (-1, 0, 1):
+            occupied[cell[:, 0] + dx, cell[:, 1] + dy] = True
+    inside = np.flatnonzero(np.all((xy_m >= low) & (xy_m < low + radius_m * size), axis=1))
+    at = np.floor((xy_m[inside] - low) / radius_m).astype(np.int64)
+    return np.asarray(inside[occupied[at[:, 0], at[:, 1]]])
+
+
+def collect_target_returns(
+    data: CampaignData, centres_map_m: dict[str, np.ndarray], radius_m: float, *, points_per_chunk: int = 1_000_000
+) -> dict[tuple[int, int, str], TargetReturns]:
+    """Reads every strip once and keeps the returns near targets.
+
+    Parameters
+    ----------
+    data : CampaignData
+    centres_map_m : dict of str to (3,) np.ndarray
+        Easting, northing, normal height of each target. [m]
+    radius_m : float
+        Horizontal radius about the surveyed place; must hold the target plus the mounting's error on the ground. [m]
+
+    Returns
+    -------
+    dict
+        (sortie, strip, target id) -> returns, only where there are any.
+    """
+    if not centres_map_m:
+        return {}
+    ids = list(centres_map_m)
+    centres = np.array([np.asarray(centres_map_m[i], dtype=np.float64)[:2] for i in ids])
+    unit = data.lidar.amplitude_unit if data.lidar is not None else "linear"
+    found: dict[tuple[int, int, str], list[tuple[np.ndarray, Returns]]] = {}
+    for sortie in data.sorties:
+        for strip in sortie.strips:
+            reader = StripReader(sortie.folder.strip_las(strip), gps_week=data.manifest.gps_week, amplitude_unit=unit)
+            for first, chunk in reader.chunks(points_per_chunk):
+                near = _near_any(chunk.xyz_m[:, :2], centres, radius_m)
+                xy = chunk.xyz_m[near, :2]
+                for i, target in enumerate(ids):
+                    rows = near[np.sum((xy - centres[i]) ** 2, axis=1) <= radius_m**2]
+                    if rows.size:
+                        key = (sortie.folder.number, strip, target)
+                        found.setdefault(key, []).append((first + rows, select_returns(chunk, rows)))
+    return {
+        key: TargetReturns(
+            sortie=key[0],
+            strip=key[1],
+            target=key[2],
+            record=np.concatenate([r for r, _ in parts]).astype(np.int64),
+            returns=concatenate_returns([r for _, r in parts]),
+        )
+        for key, parts in found.items()
+    }
