@@ -26,7 +26,9 @@ class CampaignInfo(Model):
 
     id: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
     title: str = "Multi-sensor consistency test"
-    start_time: str = Field("2026-06-12T10:30:00+08:00", description="ISO 8601 with UTC offset; first strip begins here")
+    start_time: str = Field(
+        "2026-06-12T10:30:00+08:00", description="ISO 8601 with UTC offset; first strip begins here"
+    )
     operator: str = ""
     purpose: str = ""
 
@@ -158,13 +160,16 @@ class Camera(Model):
     quantum_efficiency: Fraction = 0.5
     prnu: NonNegative = Field(0.004, description="relative pixel to pixel gain spread (flat-fielded residual)")
     dsnu_e: NonNegative = 1.0
-    vignetting: Fraction = Field(0.0, description="residual relative fall-off at the corner after the maker's correction")
+    vignetting: Fraction = Field(
+        0.0, description="residual relative fall-off at the corner after the maker's correction"
+    )
     psf_sigma_px: NonNegative = Field(0.45, description="optics and pixel diffusion, before the pixel's own box")
     exposure_time_s: Positive = 1.0 / 2000.0
     shutter: Literal["global", "rolling"] = "global"
     readout_time_s: NonNegative = Field(0.0, description="first to last row, rolling shutter only")
     exposure_target: Fraction = Field(
-        0.80, description="part of full scale that a level 100 % reflector shall reach; sets the gain at the first strip"
+        0.80,
+        description="part of full scale that a level 100 % reflector shall reach; sets the gain at the first strip",
     )
 
 
@@ -217,7 +222,9 @@ class Lidar(Model):
 class Mounting(Model):
     """Nominal mounting of one sensor: what the maker's drawing says."""
 
-    lever_arm_m: Vector3 = Field((0.0, 0.0, 0.0), description="sensor's origin in the body frame, x forward y right z down")
+    lever_arm_m: Vector3 = Field(
+        (0.0, 0.0, 0.0), description="sensor's origin in the body frame, x forward y right z down"
+    )
     boresight_deg: Vector3 = Field((0.0, 0.0, 0.0), description="roll pitch yaw of the nominal mounting")
 
 
@@ -287,7 +294,6 @@ class Render(Model):
     samples: Literal[1, 2, 4, 8, 16, 32, 64, 128] = 4
     target_samples: Literal[1, 2, 4, 8, 16, 32, 64, 128, 256, 512] = 32
     bounces: Annotated[int, Field(ge=0, le=8)] = 1
-    seed: int | None = Field(None, ge=0, description="of the render's samples; the campaign's seed when absent")
     cache: str | None = Field(None, description="folder that keeps rendered radiance between runs")
 
 
@@ -305,6 +311,11 @@ class Config(Model):
     schema_version: Literal[1] = 1
     campaign: CampaignInfo
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    scene_seed: Annotated[int, Field(ge=0, lt=2**63)] | None = Field(
+        None,
+        description="of scene, flight and render samples; `seed` when absent. Set it to redraw nothing but noise, "
+        "navigation errors, survey and certificate with `seed`",
+    )
     site: Site = Site()
     environment: Environment = Environment()
     targets: Targets = Targets()

@@ -1,0 +1,23 @@
+"""Named random streams: the same seed gives the same numbers however the work is cut into chunks, tiles or workers."""
+
+from enum import IntEnum
+
+import numpy as np
+
+
+class Stream(IntEnum):
+    SURVEY = 1
+    CALIBRATION = 2
+    SPECTRA = 3
+    FLIGHT = 4
+    NAVIGATION = 5
+    CAMERA_NOISE = 6
+    CAMERA_FIXED_PATTERN = 7
+    LIDAR = 8
+    RENDER = 9
+    ENVIRONMENT = 10
+
+
+def generator(seed: int, stream: Stream, *key: int) -> np.random.Generator:
+    """One independent generator for each (seed, stream, key), key for example (sortie, strip, block)."""
+    return np.random.default_rng(np.random.SeedSequence([seed, int(stream), *key]))
