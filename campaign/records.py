@@ -2,11 +2,26 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from campaign.config import Model
+from campaign.errors import CampaignError
+from campaign.formats.text import (
+    Parse,
+    file_name,
+    identifier,
+    non_negative,
+    number,
+    optional,
+    positive,
+    read_model,
+    read_rows,
+    whole,
+    write_model,
+    write_rows,
+)
 
 
 class PlannedStrip(Model):
@@ -90,34 +105,87 @@ class LidarObservation:
     point: int
 
 
+EXPOSURE_COLUMNS: dict[str, Parse] = {
+    "image": file_name,
+    "gps_time_s": number,
+    "strip": whole,
+    "exposure_time_s": positive,
+    "gain_e_per_dn": positive,
+    "focus_distance_m": positive,
+}
+ENVIRONMENT_COLUMNS: dict[str, Parse] = {
+    "gps_time_s": number,
+    "illuminance_lx": optional(non_negative),
+    "wind_speed_m_s": optional(non_negative),
+    "wind_from_deg": optional(number),
+    "temperature_c": optional(number),
+    "pressure_hpa": optional(positive),
+    "relative_humidity_percent": optional(non_negative),
+    "satellites": optional(whole),
+}
+CAMERA_OBSERVATION_COLUMNS: dict[str, Parse] = {
+    "target": identifier,
+    "image": file_name,
+    "u_px": number,
+    "v_px": number,
+}
+LIDAR_OBSERVATION_COLUMNS: dict[str, Parse] = {"target": identifier, "strip": whole, "point": whole}
+
+
 def write_plan(path: Path, plan: FlightPlan) -> None:
-    raise NotImplementedError
+    """plan.json."""
+    write_model(path, plan)
 
 
 def read_plan(path: Path) -> FlightPlan:
-    raise NotImplementedError
+    """Raises CampaignError naming the key."""
+    return read_model(path, FlightPlan)
 
 
 def write_exposures(path: Path, exposures: list[Exposure]) -> None:
-    raise NotImplementedError
+    """exposures.csv, one row an image."""
+    write_rows(path, list(EXPOSURE_COLUMNS), ([getattr(e, c) for c in EXPOSURE_COLUMNS] for e in exposures))
 
 
 def read_exposures(path: Path) -> list[Exposure]:
-    """File names that leave the images folder are refused."""
-    raise NotImplementedError
+    """Raises CampaignError naming row and column. File names that leave the images folder are refused, and images named twice."""
+    rows = read_rows(path, EXPOSURE_COLUMNS)
+    seen: set[str] = set()
+    for i, row in enumerate(rows, 2):
+        if row["image"] in seen:
+            raise CampaignError("the image is named twice", where=f"{path} row {i}", got=row["image"])
+        seen.add(row["image"])
+    return [Exposure(**row) for row in rows]
 
 
 def write_environment(path: Path, rows: list[EnvironmentRow]) -> None:
-    raise NotImplementedError
+    """environment.csv; what was not recorded is an empty cell."""
+    write_rows(path, list(ENVIRONMENT_COLUMNS), ([getattr(r, c) for c in ENVIRONMENT_COLUMNS] for r in rows))
 
 
 def read_environment(path: Path) -> list[EnvironmentRow]:
-    raise NotImplementedError
+    """Raises CampaignError naming row and column. A column that was not recorded may be absent."""
+    empty: dict[str, Any] = dict.fromkeys(ENVIRONMENT_COLUMNS)
+    return [EnvironmentRow(**(empty | row)) for row in read_rows(path, ENVIRONMENT_COLUMNS, ["gps_time_s"])]
+
+
+def write_camera_observations(path: Path, rows: list[CameraObservation]) -> None:
+    """observations_camera.csv."""
+    columns = list(CAMERA_OBSERVATION_COLUMNS)
+    write_rows(path, columns, ([getattr(r, c) for c in columns] for r in rows))
 
 
 def read_camera_observations(path: Path) -> list[CameraObservation]:
-    raise NotImplementedError
+    """Raises CampaignError naming row and column."""
+    return [CameraObservation(**row) for row in read_rows(path, CAMERA_OBSERVATION_COLUMNS)]
+
+
+def write_lidar_observations(path: Path, rows: list[LidarObservation]) -> None:
+    """observations_lidar.csv."""
+    columns = list(LIDAR_OBSERVATION_COLUMNS)
+    write_rows(path, columns, ([getattr(r, c) for c in columns] for r in rows))
 
 
 def read_lidar_observations(path: Path) -> list[LidarObservation]:
-    raise NotImplementedError
+    """Raises CampaignError naming row and column."""
+    return [LidarObservation(**row) for row in read_rows(path, LIDAR_OBSERVATION_COLUMNS)]

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from campaign.config import Band, Lens, Model, NonNegative, Positive, Vector3
+from campaign.errors import CampaignError
+from campaign.formats.text import read_model, write_model
 
 
 class Calibration(Model):
@@ -87,16 +89,38 @@ class Rig(Model):
 
 
 def write_sheet(path: Path, sheet: Model) -> None:
-    raise NotImplementedError
+    """Any of the three sheets as JSON."""
+    write_model(path, sheet)
 
 
 def read_camera(path: Path) -> CameraSheet:
-    raise NotImplementedError
+    """Raises CampaignError naming the key; a certificate's covariance must be 9 x 9, symmetric, without negative variances."""
+    sheet = read_model(path, CameraSheet)
+    if not 1 <= len(sheet.bands) <= 3:
+        raise CampaignError("number of bands", where=f"{path} bands", got=len(sheet.bands), expected="1 to 3")
+    if sheet.calibration is not None:
+        covariance = sheet.calibration.covariance
+        square = len(covariance) == 9 and all(len(row) == 9 for row in covariance)
+        if not square or any(abs(covariance[i][j] - covariance[j][i]) > 1e-9 for i in range(9) for j in range(i)):
+            raise CampaignError("not a covariance", where=f"{path} calibration.covariance", expected="9 x 9, symmetric")
+        if any(covariance[i][i] < 0.0 for i in range(9)):
+            raise CampaignError("a variance is negative", where=f"{path} calibration.covariance", expected="0 or above")
+    return sheet
 
 
 def read_lidar(path: Path) -> LidarSheet:
-    raise NotImplementedError
+    """Raises CampaignError naming the key."""
+    sheet = read_model(path, LidarSheet)
+    if sheet.sector_deg[0] >= sheet.sector_deg[1]:
+        raise CampaignError(
+            "wrong order", where=f"{path} sector_deg", got=list(sheet.sector_deg), expected="least first"
+        )
+    return sheet
 
 
 def read_rig(path: Path) -> Rig:
-    raise NotImplementedError
+    """Raises CampaignError naming the key."""
+    rig = read_model(path, Rig)
+    if min(rig.navigation.position_std_m + rig.navigation.attitude_std_deg) < 0.0:
+        raise CampaignError("a standard deviation is negative", where=f"{path} navigation", expected="0 or above")
+    return rig

@@ -4,6 +4,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pyproj
+
+from campaign.errors import CampaignError
+from campaign.formats.text import (
+    Parse,
+    identifier,
+    non_negative,
+    number,
+    one_of,
+    optional,
+    positive,
+    read_rows,
+    read_table,
+    write_rows,
+    write_text,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,23 +57,115 @@ class Spectra:
     reflectance: np.ndarray  # (w, panels) 0..1 (a little above 1 is legal)
 
 
+MATERIALS = ("barium_sulfate", "ptfe", "water_based_paint")
+TARGET_COLUMNS: dict[str, Parse] = {
+    "id": identifier,
+    "kind": one_of("panel", "frustum"),
+    "easting_m": number,
+    "northing_m": number,
+    "height_m": number,
+    "easting_std_m": non_negative,
+    "northing_std_m": non_negative,
+    "height_std_m": non_negative,
+    "azimuth_deg": number,
+    "size_m": positive,
+    "nominal_reflectance_percent": optional(positive),
+    "style": optional(one_of("inverted", "upright")),
+    "thickness_m": optional(non_negative),
+    "vertex_faces": optional(one_of("inner", "outer")),
+    "vertex_offset_m": optional(number),
+    "mark_radius_m": optional(positive),
+    "material": one_of("", *MATERIALS),
+}
+# What a target of one kind must state beside the columns that all have.
+_NEEDED = {
+    "panel": ("nominal_reflectance_percent",),
+    "frustum": ("style", "thickness_m", "vertex_faces", "vertex_offset_m", "mark_radius_m"),
+}
+
+
+def crs_wkt(projection_epsg: int, height_epsg: int | None, version: str) -> str:
+    """WKT of the projected, or the compound, coordinate system.
+
+    Raises
+    ------
+    CampaignError
+        The numbers name no projected system with a height system.
+    """
+    name = f"EPSG:{projection_epsg}" + ("" if height_epsg is None else f"+{height_epsg}")
+    try:
+        return str(pyproj.CRS.from_user_input(name).to_wkt(version))
+    except pyproj.exceptions.CRSError:
+        raise CampaignError("is no coordinate system that is known here", where=name, expected="EPSG numbers") from None
+
+
 def write_targets(path: Path, targets: list[SurveyedTarget], projection_epsg: int, height_epsg: int) -> None:
-    raise NotImplementedError
+    """targets.csv, and targets.prj with the compound coordinate system for GIS tools."""
+    write_text(path.with_suffix(".prj"), crs_wkt(projection_epsg, height_epsg, "WKT1_ESRI") + "\n")
+    write_rows(path, list(TARGET_COLUMNS), ([getattr(t, c) for c in TARGET_COLUMNS] for t in targets))
 
 
 def read_targets(path: Path) -> list[SurveyedTarget]:
     """Raises CampaignError naming row and column: NaN, duplicate id, unknown kind, missing or unknown column."""
-    raise NotImplementedError
+    rows = read_rows(path, TARGET_COLUMNS)
+    seen: set[str] = set()
+    for i, row in enumerate(rows, 2):
+        if row["id"] in seen:
+            raise CampaignError("the id occurs twice", where=f"{path} row {i} column id", got=row["id"])
+        seen.add(row["id"])
+        for column in _NEEDED[row["kind"]]:
+            if row[column] is None:
+                raise CampaignError(
+                    "is empty", where=f"{path} row {i} column {column}", expected=f"a value for a {row['kind']}"
+                )
+    return [SurveyedTarget(**row) for row in rows]
 
 
 def write_gcp_list(path: Path, targets: list[SurveyedTarget], projection_epsg: int) -> None:
-    """ODM's ground control list header with target coordinates, no image rows."""
-    raise NotImplementedError
+    """ODM's ground control list: its header and the targets as comments, to which a person adds image rows.
+
+    An image row is: easting northing height column row image target.
+    """
+    lines = [f"EPSG:{projection_epsg}", "# easting_m northing_m height_m target"]
+    lines += [f"# {t.easting_m:.4f} {t.northing_m:.4f} {t.height_m:.4f} {t.id}" for t in targets]
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def write_spectra(path: Path, spectra: Spectra) -> None:
-    raise NotImplementedError
+    """spectra.csv: wavelength_nm and one column for each panel."""
+    table = np.column_stack([spectra.wavelength_nm, spectra.reflectance])
+    write_rows(path, ["wavelength_nm", *spectra.panel_ids], table.astype(float).tolist())
 
 
 def read_spectra(path: Path) -> Spectra:
-    raise NotImplementedError
+    """Raises CampaignError naming row and column: not finite, wavelengths not increasing, reflectance outside 0 to 1.5."""
+    header, rows = read_table(path)
+    if header[0] != "wavelength_nm" or len(header) < 2 or len(rows) < 2:
+        raise CampaignError(
+            "is no table of spectra", where=str(path), expected="wavelength_nm, then a column for each panel"
+        )
+    if len(set(header)) != len(header):
+        raise CampaignError("a panel occurs twice", where=str(path))
+    try:
+        for name in header[1:]:
+            identifier(name)
+        table = np.array(rows, dtype=float)
+    except ValueError as error:
+        raise CampaignError(
+            "wrong value", where=str(path), got=error, expected="panel ids, and numbers below them"
+        ) from None
+    wrong = ~np.isfinite(table)
+    wrong[:, 1:] |= (table[:, 1:] < 0.0) | (table[:, 1:] > 1.5)
+    wrong[1:, 0] |= np.diff(table[:, 0]) <= 0.0
+    if wrong.any():
+        row, column = (int(i) for i in np.argwhere(wrong)[0])
+        expected = "increasing wavelengths" if column == 0 else "a reflectance from 0 to 1.5"
+        raise CampaignError(
+            "wrong value",
+            where=f"{path} row {row + 2} column {header[column]}",
+            got=rows[row][column][:40],
+            expected=expected,
+        )
+    return Spectra(
+        wavelength_nm=table[:, 0], panel_ids=tuple(header[1:]), reflectance=np.ascontiguousarray(table[:, 1:])
+    )

@@ -7,14 +7,31 @@ truth/marks.csv       target, image, u_px, v_px, visible: true pixel of every ma
 truth/returns_SS_LL.npz   per return of sortie SS strip LL: range_m, normal, target index, face
 """
 
-from dataclasses import dataclass
+import zipfile
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 from pydantic import Field
 
+from campaign.atomic import complete_file
 from campaign.config import Lens, Model, Vector3
-from campaign.manifest import ManifestFile
+from campaign.errors import CampaignError
+from campaign.formats.text import (
+    Parse,
+    file_name,
+    identifier,
+    number,
+    one_of,
+    read_model,
+    read_rows,
+    write_model,
+    write_rows,
+)
+from campaign.manifest import TRUTH, ManifestFile, compare_files, sha256, walk
+from campaign.trajectory import Trajectory
+
+MAX_NPZ_BYTES = 4_000_000_000
 
 
 class TrueMounting(Model):
@@ -60,18 +77,112 @@ class TrueReturns:
     face: np.ndarray  # (n,) int8: frustum face 0-3 inner, 4-7 outer, 8 plate, 9 mark, -1 other
 
 
+@dataclass(frozen=True, kw_only=True)
+class TrueMark:
+    """True pixel of one mark's centre in one image; the image's top left corner is (0, 0)."""
+
+    target: str
+    image: str
+    u_px: float
+    v_px: float
+    visible: bool
+
+
+MARK_COLUMNS: dict[str, Parse] = {
+    "target": identifier,
+    "image": file_name,
+    "u_px": number,
+    "v_px": number,
+    "visible": one_of("0", "1"),
+}
+
+
 def write_truth(root: Path, truth: Truth) -> None:
-    """Writes truth.json last, with the checksums of everything else under truth/."""
-    raise NotImplementedError
+    """Writes truth.json of the campaign folder `root` last, with the checksums of everything else under truth/."""
+    files = tuple(
+        ManifestFile(path=name, bytes=(root / name).stat().st_size, sha256=sha256(root / name)) for name in _files(root)
+    )
+    write_model(root / TRUTH / "truth.json", truth.model_copy(update={"files": files}))
 
 
 def read_truth(root: Path) -> Truth:
-    raise NotImplementedError
+    """truth.json of the campaign folder `root`."""
+    if not (root / TRUTH / "truth.json").is_file():
+        raise CampaignError("has no truth", where=str(root), remedy="only a simulated campaign can be scored")
+    return read_model(root / TRUTH / "truth.json", Truth)
+
+
+def verify_truth(root: Path, truth: Truth) -> list[str]:
+    """Every missing, changed or surplus file under truth/, one line each."""
+    return compare_files(root, truth.files, _files(root))
 
 
 def write_true_returns(path: Path, returns: TrueReturns) -> None:
-    raise NotImplementedError
+    """One strip's returns as .npz."""
+    _write_npz(path, {f.name: getattr(returns, f.name) for f in fields(TrueReturns)})
 
 
 def read_true_returns(path: Path) -> TrueReturns:
-    raise NotImplementedError
+    """Raises CampaignError: not readable, an array missing, unequal lengths."""
+    arrays = _read_npz(path)
+    missing = [f.name for f in fields(TrueReturns) if f.name not in arrays]
+    if missing or len({len(a) for a in arrays.values()}) != 1:
+        raise CampaignError("is no table of true returns", where=str(path), got=f"no {missing[0]}" if missing else None)
+    return TrueReturns(**{f.name: arrays[f.name] for f in fields(TrueReturns)})
+
+
+def write_true_trajectories(path: Path, sorties: dict[int, Trajectory]) -> None:
+    """trajectory.npz: the fields of every sortie, prefixed sNN_."""
+    _write_npz(path, {f"s{n:02d}_{f.name}": getattr(t, f.name) for n, t in sorties.items() for f in fields(Trajectory)})
+
+
+def read_true_trajectories(path: Path) -> dict[int, Trajectory]:
+    """Raises CampaignError: not readable, a field missing."""
+    arrays = _read_npz(path)
+    sorties: dict[int, dict[str, np.ndarray]] = {}
+    for name, array in arrays.items():
+        prefix, _, field = name.partition("_")
+        if not prefix[1:].isdigit():
+            raise CampaignError("an array has no sortie in its name", where=str(path), got=name, expected="sNN_field")
+        sorties.setdefault(int(prefix[1:]), {})[field] = array
+    try:
+        return {number: Trajectory(**columns) for number, columns in sorties.items()}
+    except TypeError as error:
+        raise CampaignError("is no true trajectory", where=str(path), got=error) from None
+
+
+def write_marks(path: Path, marks: list[TrueMark]) -> None:
+    """marks.csv."""
+    write_rows(path, list(MARK_COLUMNS), ([m.target, m.image, m.u_px, m.v_px, int(m.visible)] for m in marks))
+
+
+def read_marks(path: Path) -> list[TrueMark]:
+    """Raises CampaignError naming row and column."""
+    return [TrueMark(**(row | {"visible": row["visible"] == "1"})) for row in read_rows(path, MARK_COLUMNS)]
+
+
+def _files(root: Path) -> list[str]:
+    return sorted(name for name in walk(root, root / TRUTH) if name != f"{TRUTH}/truth.json")
+
+
+def _write_npz(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Not compressed: NumPy's zip entries carry no time of day, so the same arrays give the same bytes."""
+    with complete_file(path) as work:
+        np.savez(work, allow_pickle=False, **arrays)
+
+
+def _read_npz(path: Path) -> dict[str, np.ndarray]:
+    try:
+        if path.stat().st_size > MAX_NPZ_BYTES:
+            raise CampaignError("too large", where=str(path), expected=f"at most {MAX_NPZ_BYTES} bytes")
+        with zipfile.ZipFile(path) as archive:
+            if sum(entry.file_size for entry in archive.infolist()) > 2 * path.stat().st_size + 1_000_000:
+                raise CampaignError("unpacks to more than it should", where=str(path))
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except FileNotFoundError:
+        raise CampaignError("no such file", where=str(path)) from None
+    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
+        raise CampaignError(
+            "cannot be read", where=str(path), got=str(error).splitlines()[0] if str(error) else None
+        ) from None

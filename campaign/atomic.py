@@ -1,0 +1,117 @@
+"""Files and folders that appear complete or not at all: written beside the target, renamed at the end, removed on any failure."""
+
+import contextlib
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from campaign.errors import CampaignError
+
+# What marks a folder as one that this project wrote, and that `replace` may therefore delete.
+_OWN_MARKS = ("manifest.json", "results.json", "score.json", "campaign/manifest.json", "results/results.json")
+
+
+@contextlib.contextmanager
+def complete_folder(target: Path, replace: bool = False) -> Iterator[Path]:
+    """Give a temporary folder beside `target`; rename it to `target` when the block ends, remove it when the block fails.
+
+    Parameters
+    ----------
+    target : Path
+        May be absent or an empty folder; a folder with contents is refused unless `replace`.
+    replace : bool
+        Put the new folder in the place of the old one, which is deleted only if it is recognisably a campaign or results
+        folder. The old one stays until the new one is complete.
+
+    Raises
+    ------
+    CampaignError
+        The target is occupied, or the disk is full or not writable.
+    """
+    target = Path(os.path.abspath(target))
+    _check_target(target, replace)
+    with readable_os_errors(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
+        work.chmod(0o777 & ~_umask())
+        try:
+            yield work
+            _put(work, target, replace)
+        except BaseException:
+            shutil.rmtree(work, ignore_errors=True)
+            raise
+
+
+@contextlib.contextmanager
+def complete_file(target: Path) -> Iterator[Path]:
+    """Give a temporary name beside `target` (same suffix); rename it when the block ends, remove it when the block fails."""
+    work = target.with_name(f".{target.stem}.part{target.suffix}")
+    with readable_os_errors(target):
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            yield work
+            work.replace(target)
+        except BaseException:
+            work.unlink(missing_ok=True)
+            raise
+
+
+@contextlib.contextmanager
+def readable_os_errors(target: Path) -> Iterator[None]:
+    """A full disk or a missing permission as one line."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise CampaignError(
+                "no space left on the disk while writing",
+                where=str(target),
+                remedy="free some space or choose another place",
+            ) from None
+        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.ENAMETOOLONG, errno.EISDIR):
+            raise CampaignError("cannot be written", where=str(target), got=error.strerror) from None
+        raise
+
+
+def _check_target(target: Path, replace: bool) -> None:
+    if not target.exists() and not target.is_symlink():
+        return
+    if target.is_symlink() or not target.is_dir():
+        raise CampaignError("exists and is not a folder", where=str(target), remedy="choose another place")
+    if not any(target.iterdir()):
+        return
+    if not replace:
+        raise CampaignError(
+            "already exists and is not empty", where=str(target), remedy="choose another place or delete it"
+        )
+    if not any((target / mark).is_file() for mark in _OWN_MARKS):
+        raise CampaignError(
+            "will not be replaced: it does not look like a campaign or results folder",
+            where=str(target),
+            expected=f"one of {', '.join(_OWN_MARKS)} inside",
+        )
+
+
+def _put(work: Path, target: Path, replace: bool) -> None:
+    _check_target(target, replace)
+    if not target.exists():
+        work.rename(target)
+        return
+    old = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".old", dir=target.parent))
+    target.rename(old / "old")
+    try:
+        work.rename(target)
+    except BaseException:
+        (old / "old").rename(target)
+        raise
+    finally:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask
