@@ -1,0 +1,73 @@
+"""Read a campaign folder, part by part. A part that is missing or broken never stops the rest: it is named in `problems`."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from campaign.errors import CampaignError, TestrangeError
+from campaign.folder import CampaignFolder, SortieFolder
+from campaign.manifest import read_manifest
+from campaign.records import read_environment, read_exposures, read_plan
+from campaign.sensors import read_camera, read_lidar, read_rig
+from campaign.survey import read_spectra, read_targets
+from campaign.trajectory import read_trajectory
+from evaluator.model import CampaignData, SortieData
+
+T = TypeVar("T")
+
+
+def load_campaign(root: Path) -> CampaignData:
+    """Everything but images and returns, which are streamed later.
+
+    Raises
+    ------
+    CampaignError
+        `root` is no campaign folder: no readable manifest.json.
+    """
+    folder = CampaignFolder(root)
+    if not root.is_dir():
+        raise CampaignError("no such folder", where=str(root), expected="a campaign folder with manifest.json")
+    manifest = read_manifest(root)
+    problems: list[str] = []
+
+    def part(path: Path, read: Callable[[], T]) -> T | None:
+        if not path.exists():
+            return None
+        try:
+            return read()
+        except TestrangeError as error:
+            problems.append(str(error))
+            return None
+
+    def sortie(place: SortieFolder) -> SortieData:
+        rms = place.trajectory_rms if place.trajectory_rms.exists() else None
+        return SortieData(
+            folder=place,
+            trajectory=part(
+                place.trajectory_sbet, lambda: read_trajectory(place.trajectory_sbet, rms, manifest.gps_week)
+            ),
+            exposures=tuple(part(place.exposures, lambda: read_exposures(place.exposures)) or ()),
+            environment=tuple(part(place.environment, lambda: read_environment(place.environment)) or ()),
+            strips=_strips(place),
+        )
+
+    return CampaignData(
+        folder=folder,
+        manifest=manifest,
+        plan=part(folder.plan, lambda: read_plan(folder.plan)),
+        targets=tuple(part(folder.targets, lambda: read_targets(folder.targets)) or ()),
+        spectra=part(folder.spectra, lambda: read_spectra(folder.spectra)),
+        camera=part(folder.camera, lambda: read_camera(folder.camera)),
+        lidar=part(folder.lidar, lambda: read_lidar(folder.lidar)),
+        rig=part(folder.rig, lambda: read_rig(folder.rig)),
+        sorties=tuple(sortie(place) for place in folder.sorties()),
+        problems=tuple(problems),
+    )
+
+
+def _strips(place: SortieFolder) -> tuple[int, ...]:
+    """Numbers of the waveform files strip_NN.las, in order."""
+    if not place.lidar.is_dir():
+        return ()
+    stems = (path.stem.removeprefix("strip_") for path in place.lidar.glob("strip_*.las"))
+    return tuple(sorted(int(stem) for stem in stems if stem.isdigit() and len(stem) <= 4))

@@ -1,0 +1,88 @@
+"""The flown motion keeps the limits of 7.3 and 7.4 and passes where it was planned."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from campaign.config import Config
+from campaign.load import load_config
+from scenes.model import Layout
+from simulator.flight import exposure_offsets_m, fly
+from simulator.motion import Motion
+
+LAYOUT = Layout(camera_half_m=(23.0, 15.4), lidar_half_m=31.0, cone_half_m=45.0, field_half_m=(13.0, 12.0))
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return load_config("quickstart")
+
+
+def _during(motion: Motion, start: float, end: float) -> np.ndarray:
+    return (motion.gps_time_s >= start) & (motion.gps_time_s <= end)
+
+
+def test_limits_of_7_3_and_7_4_hold_on_every_strip(config: Config) -> None:
+    """Rationale: 7.3 (16 m/s, 2.5 m/s2 along strips) and 7.4 (5 m, 5 % of height) bind the simulated pilot too.
+
+    Expected: speed within 10 % of the plan's, acceleration under 2.5 m/s2 everywhere, height within 5 %.
+    Tolerance: 10 % of speed is five times the wander's own rate (0.1 m with periods above 7 s: 0.09 m/s of 5 m/s).
+    """
+    for sortie, height in zip(fly(config, LAYOUT), config.flight.heights_m, strict=True):
+        motion = sortie.motion
+        acceleration = np.gradient(motion.velocity_world_m_s, motion.gps_time_s, axis=0)
+        assert np.linalg.norm(acceleration, axis=1).max() <= config.platform.max_acceleration_m_s2
+        for strip in sortie.strips:
+            on = _during(motion, strip.start_s, strip.end_s)
+            speed = np.linalg.norm(motion.velocity_world_m_s[on, :2], axis=1)
+            assert np.abs(speed / config.flight.speed_m_s - 1.0).max() < 0.10
+            assert np.abs(motion.position_world_m[on, 2] / height - 1.0).max() < 0.05
+
+
+def test_one_exposure_of_each_strip_lies_over_the_centre(config: Config) -> None:
+    """Rationale: 6.2.3 b wants every target in one image, so each strip exposes once over the centre.
+
+    Tolerance: three standard deviations of track keeping on each axis, in the plane.
+    """
+    for sortie in fly(config, LAYOUT):
+        for strip in sortie.strips:
+            places = sortie.motion.position(np.array(strip.exposure_s))[:, :2]
+            assert np.linalg.norm(places, axis=1).min() < 3.0 * np.sqrt(2.0) * config.platform.track_std_m
+
+
+def test_velocity_is_the_derivative_of_position(config: Config) -> None:
+    """Tolerance: central differences at 200 Hz of accelerations that change within 1 m/s3: 1e-4 m/s; ten times that."""
+    motion = fly(config, LAYOUT)[0].motion
+    numeric = np.gradient(motion.position_world_m, motion.gps_time_s, axis=0)
+    assert np.abs(numeric - motion.velocity_world_m_s)[2:-2].max() < 1e-3
+
+
+def test_headings_are_flown_as_planned(config: Config) -> None:
+    """Tolerance: four standard deviations of the heading's sway."""
+    for sortie in fly(config, LAYOUT):
+        for strip in sortie.strips:
+            on = _during(sortie.motion, strip.start_s, strip.end_s)
+            off = np.degrees(sortie.motion.rpy_rad[on, 2]) - strip.heading_deg
+            assert np.abs((off + 180.0) % 360.0 - 180.0).max() < 4.0 * config.platform.heading_std_deg
+
+
+def test_same_seed_same_flight_and_another_seed_another(config: Config) -> None:
+    first, again = fly(config, LAYOUT), fly(config, LAYOUT)
+    other = fly(config.model_copy(update={"seed": 2}), LAYOUT)
+    assert np.array_equal(first[0].motion.rpy_rad, again[0].motion.rpy_rad)
+    assert not np.array_equal(first[0].motion.rpy_rad, other[0].motion.rpy_rad)
+
+
+def test_exposures_alternate_about_the_centre() -> None:
+    assert exposure_offsets_m(1, 5.0) == [0.0]
+    assert exposure_offsets_m(2, 5.0) == [0.0, 5.0]
+    assert exposure_offsets_m(5, 2.0) == [-4.0, -2.0, 0.0, 2.0, 4.0]
+
+
+def test_a_larger_field_gives_longer_strips(config: Config) -> None:
+    """Strip length = field along the heading plus the run-in at both ends, at the planned speed."""
+    wide = replace(LAYOUT, field_half_m=(20.0, 12.0))
+    strip = fly(config, wide)[0].strips[2]
+    assert strip.heading_deg == 90.0
+    assert (strip.end_s - strip.start_s) * config.flight.speed_m_s == pytest.approx(2 * (20.0 + 4.0), rel=1e-6)
