@@ -30,7 +30,9 @@ class Mesh:
     faces: np.ndarray  # (f, 3) int32
     material: np.ndarray  # (f,) int32 index into Scene.materials
     target: np.ndarray  # (f,) int32 index into Scene.targets, -1: ground, stands' owner is the target they carry
-    part: np.ndarray  # (f,) int8: frustum face 0-3 inner, 4-7 outer, 8 plate, 9 mark, 10 support or stand, 11 rim; panel top 12; -1 else
+    # (f,) int8: frustum face 0-3 inner, 4-7 outer (the side at azimuth + 90 k is k and 4 + k), 8 plate, 9 mark,
+    # 10 support or stand, 11 rim; panel top 12; -1 else
+    part: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +74,10 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class SunSky:
-    """Light at one instant, world frame. Sky radiance follows the CIE clear sky (distribution only), scaled to the diffuse irradiance."""
+    """Light at one instant, world frame.
+
+    Sky radiance follows the CIE clear sky (distribution only), scaled to the diffuse irradiance.
+    """
 
     to_sun: np.ndarray  # (3,) unit vector, world ENU
     elevation_deg: float
