@@ -70,7 +70,7 @@ def design_lines(config: Config, layout: Layout, height_m: float) -> list[Line]:
 
 
 def exposure_offsets_m(count: int, spacing_m: float) -> list[float]:
-    """Along-track places of a strip's exposures from its middle: 0, +s, -s, +2s ... so that one always lies at the centre."""
+    """Along-track aims of a strip's exposures from its middle: 0, +s, -s, +2s ... so that one always looks at the centre."""
     return sorted(spacing_m * ((k + 1) // 2) * (1 if k % 2 else -1) for k in range(count))
 
 
@@ -105,6 +105,12 @@ def _sway(rng: np.random.Generator, t: np.ndarray, std: float, period_s: float, 
 def _wind_world(config: Config) -> np.ndarray:
     a = np.radians(config.environment.wind_from_deg)
     return -config.environment.wind_speed_m_s * np.array([np.sin(a), np.cos(a), 0.0])
+
+
+def trigger_lead_m(config: Config, line: Line) -> float:
+    """How far past the middle of a strip the body is when its camera, leaning by the mean pitch, looks at that middle. [m]"""
+    air_speed = config.flight.speed_m_s - float(_wind_world(config) @ line.direction)
+    return -line.height_m * float(np.tan(np.radians(config.platform.pitch_per_speed_deg_s_m * air_speed)))
 
 
 def _fly_sortie(config: Config, lines: list[Line], number: int, start_s: float) -> Sortie:
@@ -182,11 +188,12 @@ def _fly_sortie(config: Config, lines: list[Line], number: int, start_s: float) 
             start_s=start_s + begin,
             end_s=start_s + begin + float(np.linalg.norm(line.end_m - line.start_m)) / speed,
             exposure_s=tuple(
-                start_s + begin + (float(np.linalg.norm(line.end_m - line.start_m)) / 2.0 + offset) / speed
+                start_s + begin + (float(np.linalg.norm(line.end_m - line.start_m)) / 2.0 + lead + offset) / speed
                 for offset in exposure_offsets_m(flight.images_per_strip, flight.image_spacing_m)
             ),
         )
         for k, (line, begin) in enumerate(zip(lines, starts, strict=True))
+        for lead in (trigger_lead_m(config, line),)
     )
     motion = Motion(
         gps_time_s=start_s + t,
