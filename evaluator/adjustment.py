@@ -1,0 +1,280 @@
+"""Solver of the joint adjustment (23): Gauss-Newton under full covariance, blunders by data snooping, the solution's frame.
+
+The observation equations and their covariance live in `mounting_model`; the indicator (20) in `c9_3_calibration`.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+import scipy.stats
+
+from evaluator.frames import euler_angles
+from evaluator.model import EvaluationError, Mounting, MountingSolution
+from evaluator.mounting_model import PARAMETER_NAMES, Problem, System, mounting_of
+
+# An observation is a blunder when its test's tail probability falls below this.
+_BLUNDER = 1e-5
+_MOST_REJECTED = 0.25  # of all observations; more is no longer a matter of single blunders
+_LOOSE_M2 = 1e6 * np.eye(3)  # stands for the covariance of a surveyed place that was rejected
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Fit:
+    x: np.ndarray
+    covariance: np.ndarray
+    factor: np.ndarray  # Cholesky factor L of the observations' covariance
+    design: np.ndarray  # L^-1 A
+    residual: np.ndarray  # L^-1 r after the last step
+    iterations: int
+
+
+def _gauss_newton(system: System, x: np.ndarray, most_iterations: int = 30) -> _Fit:
+    """Iterates until no parameter moves by more than 1e-3 of its standard deviation."""
+    for iteration in range(1, most_iterations + 1):
+        linear = system.linearise(x)
+        if not np.all(np.isfinite(linear.residual)):
+            raise EvaluationError(
+                "a mark's predicted pixel left the camera's field", remedy="check rig.json's nominal mounting"
+            )
+        try:
+            factor = scipy.linalg.cholesky(linear.covariance, lower=True, overwrite_a=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            raise EvaluationError(
+                "the covariance of the observations is not positive definite",
+                remedy="check the standard deviations in survey/targets.csv, rig.json and the lens certificate",
+            ) from None
+        both = scipy.linalg.solve_triangular(
+            factor, np.column_stack([linear.design, linear.residual]), lower=True, check_finite=False
+        )
+        design, residual = both[:, :-1], both[:, -1]
+        covariance = np.linalg.inv(design.T @ design)
+        step = covariance @ (design.T @ residual)
+        x = x + step
+        if np.max(np.abs(step) / np.sqrt(np.diag(covariance))) < 1e-3:
+            return _Fit(
+                x=x,
+                covariance=covariance,
+                factor=factor,
+                design=design,
+                residual=residual - design @ step,
+                iterations=iteration,
+            )
+    raise EvaluationError("the adjustment of the mounting does not converge", got=f"{most_iterations} iterations")
+
+
+def _snooping(system: System, fit: _Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Test of each observation group against all others, under full correlation.
+
+    With W = V^-1 - V^-1 A N^-1 A' V^-1 a shift of group g alone gives (V^-1 r)_g' (W_gg)^-1 (V^-1 r)_g, chi-square
+    distributed. Directions that the other observations hardly control (redundancy below 1 %) are left out.
+
+    Returns
+    -------
+    statistic, freedom : (groups,) np.ndarray
+    """
+    inverse = scipy.linalg.solve_triangular(fit.factor, np.eye(len(fit.factor)), lower=True, check_finite=False)
+    precision = inverse.T @ inverse
+    projected = inverse.T @ fit.design
+    w = precision - projected @ fit.covariance @ projected.T
+    wy = inverse.T @ fit.residual
+    statistic, freedom = np.zeros(len(system.groups)), np.zeros(len(system.groups))
+    for g, (first, size) in enumerate(system.groups):
+        rows = slice(first, first + size)
+        scale = np.linalg.inv(np.linalg.cholesky(precision[rows, rows]))
+        redundancy, vectors = np.linalg.eigh(scale @ w[rows, rows] @ scale.T)
+        along = vectors.T @ (scale @ wy[rows])
+        testable = redundancy > 0.01
+        statistic[g] = np.sum(along[testable] ** 2 / redundancy[testable])
+        freedom[g] = testable.sum()
+    return statistic, freedom
+
+
+def _factor(statistic: np.ndarray, freedom: np.ndarray) -> float:
+    """Robust variance factor of one kind of observation: median of the statistics over the median of chi-square."""
+    use = freedom > 0
+    if use.sum() < 20:
+        return 1.0
+    expected = scipy.stats.chi2.ppf(0.5, freedom[use])
+    return float(np.median(statistic[use] / expected))
+
+
+def _rescaled(problem: Problem, marks: float, vertices: float) -> Problem:
+    return replace(
+        problem,
+        marks=tuple(replace(o, covariance_px2=o.covariance_px2 * marks) for o in problem.marks),
+        vertices=tuple(replace(o, covariance_m2=o.covariance_m2 * vertices) for o in problem.vertices),
+    )
+
+
+def _describe(problem: Problem, system: System, group: int) -> str:
+    c, v = len(problem.marks), len(problem.vertices)
+    if group < c:
+        mark = problem.marks[group]
+        return f"mark of {mark.target} in {mark.image} (sortie {mark.sortie})"
+    if group < c + v:
+        vertex = problem.vertices[group - c]
+        return f"vertex of {vertex.target} in strip {vertex.strip} (sortie {vertex.sortie})"
+    return f"surveyed place of {system.targets[group - c - v]}"
+
+
+def _without(problem: Problem, system: System, groups: list[int]) -> Problem:
+    """The problem without some observations; a rejected surveyed place becomes free."""
+    c, v = len(problem.marks), len(problem.vertices)
+    out = set(groups)
+    free = {system.targets[g - c - v] for g in groups if g >= c + v}
+    return replace(
+        problem,
+        marks=tuple(o for i, o in enumerate(problem.marks) if i not in out),
+        vertices=tuple(o for i, o in enumerate(problem.vertices) if c + i not in out),
+        surveyed={t: replace(s, covariance_m2=_LOOSE_M2) if t in free else s for t, s in problem.surveyed.items()},
+    )
+
+
+def _worst(statistic: np.ndarray, freedom: np.ndarray, groups: list[tuple[int, int]]) -> list[int]:
+    """Groups to reject now: those past the threshold whose test is at least half the greatest one."""
+    tail = -scipy.stats.chi2.logsf(statistic, np.maximum(freedom, 1.0))
+    tail[freedom == 0] = 0.0
+    if tail.size == 0 or tail.max() < -np.log(_BLUNDER):
+        return []
+    return [int(g) for g in np.flatnonzero((tail >= -np.log(_BLUNDER)) & (tail >= 0.5 * tail.max()))]
+
+
+def camera_from_lidar(camera: Mounting, lidar: Mounting) -> tuple[np.ndarray, np.ndarray]:
+    """(rotation (3, 3), translation (3,) [m]) of camera_from_lidar from body_from_camera and body_from_lidar."""
+    rotation = camera.rotation.T @ lidar.rotation
+    return rotation, camera.rotation.T @ (lidar.lever_arm_m - camera.lever_arm_m)
+
+
+def camera_from_lidar_vector(nominal: tuple[Mounting, Mounting], parameters: np.ndarray) -> np.ndarray:
+    """(6,): roll, pitch, yaw [rad] of nominal^-1 * estimated rotation, x, y, z [m] of the estimated translation."""
+    reference, _ = camera_from_lidar(*nominal)
+    rotation, translation = camera_from_lidar(
+        mounting_of(nominal[0], parameters[0:6]), mounting_of(nominal[1], parameters[6:12])
+    )
+    return np.concatenate([euler_angles(reference.T @ rotation), translation])
+
+
+def _product_covariance(nominal: tuple[Mounting, Mounting], x: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    jacobian = np.zeros((6, 12))
+    for j in range(12):  # central differences: the map is smooth and a step of 1e-6 leaves 1e-10
+        d = np.zeros(12)
+        d[j] = 1e-6
+        jacobian[:, j] = (camera_from_lidar_vector(nominal, x + d) - camera_from_lidar_vector(nominal, x - d)) / 2e-6
+    return np.asarray(jacobian @ covariance @ jacobian.T)
+
+
+def _check(problem: Problem) -> None:
+    if not problem.marks or not problem.vertices:
+        missing = "mark in any image" if not problem.marks else "vertex in any strip"
+        raise EvaluationError(f"no {missing}: the mountings cannot be solved together")
+    both = {o.target for o in problem.marks} & {o.target for o in problem.vertices}
+    if len(both) < 4:
+        raise EvaluationError(
+            "too few targets seen by both sensors", got=len(both), expected="at least 4 for the twelve parameters"
+        )
+
+
+def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray | None = None) -> MountingSolution:
+    """Both mountings from all marks and vertices.
+
+    Parameters
+    ----------
+    problem : Problem
+    snoop : bool
+        Reject blunders and estimate the variance factors of marks and vertices; False takes everything as it is.
+    start : (12,) np.ndarray, optional
+        First values of the parameters; the drawing's mountings when absent.
+
+    Returns
+    -------
+    MountingSolution
+        `companions` hold the variance factors and correlations beyond 0.95.
+
+    Raises
+    ------
+    EvaluationError
+        Too few observations, no convergence, or more than a quarter of the observations rejected.
+
+    References
+    ----------
+    GB/T 41450-2022, 9.3.2 h-i, formula (23), for two mountings and with surveyed places as weighted observations; Baarda, A
+    testing procedure for use in geodetic networks, 1968.
+    """
+    _check(problem)
+    total = len(problem.marks) + len(problem.vertices)
+    rejected: list[str] = []
+    factors = np.ones(2)
+    x12 = np.zeros(12) if start is None else np.asarray(start, dtype=np.float64)
+    scaled = problem
+    for _round in range(40):
+        system = System(scaled)
+        fit = _gauss_newton(system, np.concatenate([x12, system.places.ravel()]))
+        if not snoop:
+            break
+        statistic, freedom = _snooping(system, fit)
+        kinds = np.array(system.kinds)
+        ratio = np.array([_factor(statistic[kinds == k], freedom[kinds == k]) for k in ("mark", "vertex")])
+        robust = statistic.copy()
+        for value, kind in zip(ratio, ("mark", "vertex"), strict=True):
+            robust[kinds == kind] /= max(value, 1.0)
+        worst = _worst(robust, freedom, system.groups)
+        changed = np.abs(np.log(ratio)) > 0.1
+        if not worst and (not changed.any() or _round > 8):
+            break
+        step = np.where(changed, np.clip(ratio, 0.1, 10.0), 1.0)
+        factors = factors * step
+        x12 = fit.x[:12]
+        rejected += [_describe(scaled, system, g) for g in worst]
+        if len(rejected) > _MOST_REJECTED * total:
+            raise EvaluationError(
+                "more than a quarter of the observations contradict the rest",
+                got=f"{len(rejected)} of {total}",
+                remedy="check time stamps, nominal mounting and survey coordinates",
+            )
+        scaled = _rescaled(_without(scaled, system, worst), *step)
+        _check(scaled)
+    else:
+        raise EvaluationError("data snooping does not come to an end", got=f"{len(rejected)} observations rejected")
+    x = fit.x[:12]
+    covariance = fit.covariance[:12, :12]
+    redundancy = len(fit.residual) - len(fit.x)
+    sigma0 = float(np.sqrt(fit.residual @ fit.residual / redundancy)) if redundancy > 0 else 1.0
+    camera, lidar = system.mountings(x)
+    rotation, translation = camera_from_lidar(camera, lidar)
+    std = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(std, std)
+    pairs = [
+        {"parameters": [PARAMETER_NAMES[i], PARAMETER_NAMES[j]], "correlation": float(correlation[i, j])}
+        for i in range(12)
+        for j in range(i)
+        if abs(correlation[i, j]) > 0.95
+    ]
+    return MountingSolution(
+        names=PARAMETER_NAMES,
+        parameters=x,
+        covariance=covariance,
+        body_from_camera=camera,
+        body_from_lidar=lidar,
+        camera_from_lidar_rotation=rotation,
+        camera_from_lidar_translation_m=translation,
+        camera_from_lidar=camera_from_lidar_vector(system.nominal, x),
+        camera_from_lidar_covariance=_product_covariance(system.nominal, x, covariance),
+        vertices_world_m={
+            t: fit.x[12 + 3 * i : 15 + 3 * i] + problem.surveyed[t].vertex_from_mark_m
+            for i, t in enumerate(system.targets)
+        },
+        iterations=fit.iterations,
+        sigma0=sigma0,
+        redundancy=redundancy,
+        rejected=tuple(rejected),
+        companions={
+            "variance_factor_marks": float(factors[0]),
+            "variance_factor_vertices": float(factors[1]),
+            "strong_correlations": pairs,
+            "not_determined": [
+                name for name, s, prior in zip(PARAMETER_NAMES, std, system.prior_std, strict=True) if s > 0.5 * prior
+            ],
+            "prior_std": [float(s) for s in system.prior_std],
+        },
+    )
