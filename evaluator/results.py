@@ -14,7 +14,7 @@ import numpy as np
 
 from evaluator.c10_1_grading import GRADE_ZH, GROUPS, INDICATORS, Grade, grade, group_grades
 from evaluator.conformity.model import Row
-from evaluator.model import EvaluationError, MarkObservation, Mounting, MountingSolution, VertexObservation
+from evaluator.model import CampaignData, EvaluationError, MarkObservation, Mounting, MountingSolution, VertexObservation
 from evaluator.results_model import IndicatorValue, not_measured
 
 SCHEMA = 1
@@ -87,7 +87,7 @@ class Evaluation:
     mounting_reason: str | None = None  # why there is none
     mounting_prior_std: np.ndarray | None = None  # (12,) rad and m, in the solution's order
     problems: tuple[str, ...] = ()  # parts of the folder that could not be read
-    root: Path | None = None  # campaign folder; its name is taken out of every text that is written
+    data: CampaignData | None = None  # the campaign as read: for the report, and to take its path out of every text
     # for figures
     marks: tuple[MarkObservation, ...] = ()
     vertices: tuple[VertexObservation, ...] = ()
@@ -96,6 +96,11 @@ class Evaluation:
     regions: tuple[Region, ...] = ()
     waveforms: tuple[WaveformExample, ...] = ()
     companions: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def root(self) -> Path | None:
+        """The campaign's folder, where known."""
+        return None if self.data is None else self.data.folder.root
 
     def indicator(self, indicator_id: str) -> IndicatorValue:
         """The indicator, or "not measured" with the reason where nobody computed it."""

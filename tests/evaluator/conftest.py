@@ -483,7 +483,7 @@ def evaluation(
         mounting=mounting_solution,
         mounting_prior_std=np.tile(np.r_[np.radians([1.0, 1.0, 1.0]), 0.1, 0.1, 0.015], 2),
         problems=(f"{campaign_data.folder.root}/bench: not there",),
-        root=campaign_data.folder.root,
+        data=campaign_data,
         marks=tuple(marks),
         vertices=tuple(vertices),
         residuals=tuple(residuals),

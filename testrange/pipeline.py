@@ -1,0 +1,123 @@
+"""The order of a run: simulate, evaluate, score, report; and what one needs to know of it afterwards.
+
+Formulas and files live in the rooms that this calls. Output folders appear complete or not at all.
+"""
+
+import resource
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from campaign.atomic import complete_folder
+from campaign.config import Config
+from campaign.errors import CampaignError
+from evaluator.results import Evaluation, write_results
+from evaluator.score import Score, score_campaign, write_score
+from testrange.progress import ProgressCallback
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """What a run left behind."""
+
+    evaluation: Evaluation
+    score: Score | None
+    out: Path
+    seconds: float
+    peak_memory_mb: float
+
+
+def peak_memory_mb() -> float:
+    """Greatest resident memory of this process, plus that of its greatest child. [MB of 1e6 bytes]"""
+    unit = 1.0 if sys.platform == "darwin" else 1024.0  # getrusage counts bytes there, KiB on Linux
+    own, child = (resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return (own + child) * unit / 1e6
+
+
+def _write_results(folder: Path, campaign: Path, evaluation: Evaluation, *, score: bool) -> Score | None:
+    """results.json, score.json and report.html into `folder`."""
+    from evaluator.report import write_report
+
+    folder.mkdir(parents=True, exist_ok=True)
+    write_results(folder / "results.json", evaluation)
+    scored = score_campaign(campaign, folder / "results.json") if score else None
+    if scored is not None:
+        write_score(folder / "score.json", scored)
+    write_report(folder / "report.html", evaluation, scored)
+    return scored
+
+
+def simulate(config: Config, out: Path, progress: ProgressCallback, *, replace: bool = False) -> None:
+    """Writes the campaign folder `out`."""
+    from simulator.simulate import simulate_campaign
+
+    with complete_folder(out, replace) as work:
+        simulate_campaign(config, work, progress)
+
+
+def evaluate(campaign: Path, out: Path, progress: ProgressCallback, *, replace: bool = False) -> Run:
+    """Evaluates any campaign folder, flown or simulated, into `out`: results.json and report.html. Truth is not looked at."""
+    from evaluator.evaluate import evaluate_campaign
+
+    start = time.monotonic()
+    if not campaign.is_dir():
+        raise CampaignError("no such folder", where=str(campaign), expected="a campaign folder with manifest.json")
+    with complete_folder(out, replace) as work:
+        evaluation = evaluate_campaign(campaign, progress)
+        progress("report", 0, 1)
+        _write_results(work, campaign, evaluation, score=False)
+    return Run(
+        evaluation=evaluation,
+        score=None,
+        out=out,
+        seconds=time.monotonic() - start,
+        peak_memory_mb=peak_memory_mb(),
+    )
+
+
+def run(config: Config, out: Path, progress: ProgressCallback, *, replace: bool = False) -> Run:
+    """Simulates, evaluates, scores and reports into `out`/campaign and `out`/results."""
+    from evaluator.evaluate import evaluate_campaign
+    from simulator.simulate import simulate_campaign
+
+    start = time.monotonic()
+    with complete_folder(out, replace) as work:
+        simulate_campaign(config, work / "campaign", progress)
+        evaluation = evaluate_campaign(work / "campaign", progress)
+        progress("report", 0, 1)
+        score = _write_results(work / "results", work / "campaign", evaluation, score=True)
+        progress("report", 1, 1)
+    return Run(
+        evaluation=evaluation,
+        score=score,
+        out=out,
+        seconds=time.monotonic() - start,
+        peak_memory_mb=peak_memory_mb(),
+    )
+
+
+def score(campaign: Path, results: Path) -> tuple[Score, Path]:
+    """Scores results.json (or the folder that holds it) against the campaign's truth; score.json is written beside it."""
+    from campaign.atomic import complete_file
+
+    file = results / "results.json" if results.is_dir() else results
+    scored = score_campaign(campaign, file)
+    target = file.with_name("score.json")
+    with complete_file(target) as work:
+        write_score(work, scored)
+    return scored, target
+
+
+def picture(run_folder: Path, out: Path, progress: ProgressCallback) -> None:
+    """One composite picture of a run: image with overlays, waveforms, grades."""
+    from campaign.atomic import complete_file
+    from evaluator.evaluate import evaluate_campaign
+    from evaluator.report import hero_picture
+
+    campaign = run_folder / "campaign" if (run_folder / "campaign").is_dir() else run_folder
+    if not (campaign / "manifest.json").is_file():
+        raise CampaignError("no campaign in it", where=str(run_folder), expected="the folder that testrange run wrote")
+    evaluation = evaluate_campaign(campaign, progress)
+    with complete_file(out) as work:
+        hero_picture(work, evaluation)

@@ -1,0 +1,124 @@
+"""What the command line prints: the table of indicators, what does not conform, the score. At most 100 columns."""
+
+import sys
+from typing import Any, TextIO
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from evaluator.c10_1_grading import GRADE_ZH, GROUPS, INDICATORS, Grade, group_grades
+from evaluator.results import Evaluation
+from evaluator.score import Score
+
+WIDTH = 100
+_COLOUR: dict[Grade, str] = {
+    "excellent": "green",
+    "good": "cyan",
+    "fair": "yellow",
+    "ungraded": "red",
+    "not_measured": "dim",
+}
+
+
+def console(stream: TextIO | None = None) -> Console:
+    """Stdout as wide as the terminal, 100 columns at most, also in a file."""
+    out = Console(file=stream or sys.stdout, highlight=False, soft_wrap=False)
+    out.width = min(out.width, WIDTH) if out.is_terminal else WIDTH
+    return out
+
+
+def _figure(value: float, unit: str) -> str:
+    return f"{value:.3f} {unit}" if unit == "pixel" else f"{value:.2f} {unit}"
+
+
+def print_indicators(evaluation: Evaluation, out: Console) -> None:
+    """The eight indicators and the grades of their groups."""
+    table = Table(
+        title=f"GB/T 41450-2022 · {evaluation.campaign}", title_justify="left", width=out.width, pad_edge=False
+    )
+    table.add_column("indicator", ratio=3)
+    table.add_column("指标", ratio=2)
+    table.add_column("value", ratio=2, justify="right")
+    table.add_column("95 %", ratio=2, justify="right")
+    table.add_column("n", justify="right")
+    table.add_column("grade", ratio=3)
+    for i, row in INDICATORS.items():
+        found, mark = evaluation.indicator(i), evaluation.grade(i)
+        grade = Text(f"{mark.replace('_', ' ')} {GRADE_ZH[mark]}", style=_COLOUR[mark])
+        if found.value is None:
+            table.add_row(row.name_en, row.name_zh, "–", "", "", Text(f"{grade.plain}: {found.reason}", style="dim"))
+            continue
+        interval = "" if found.low_95 is None or found.high_95 is None else f"{found.low_95:.3g} – {found.high_95:.3g}"
+        table.add_row(row.name_en, row.name_zh, _figure(found.value, row.unit), interval, str(found.sample_size), grade)
+    out.print(table)
+    groups = group_grades(evaluation.grades())
+    graded = [f"{g.name_en}: {groups[g.id]} {GRADE_ZH[groups[g.id]]}" for g in GROUPS if groups[g.id] != "not_measured"]
+    if graded:
+        out.print("groups: " + "; ".join(graded))
+
+
+def print_conformity(evaluation: Evaluation, out: Console) -> None:
+    """Counts, and every row that fails or warns."""
+    counts: dict[str, int] = {}
+    for row in evaluation.conformity:
+        counts[row.status] = counts.get(row.status, 0) + 1
+    if not counts:
+        return
+    out.print("conformity: " + ", ".join(f"{n} {status.replace('_', ' ')}" for status, n in sorted(counts.items())))
+    for row in evaluation.conformity:
+        if row.status in ("fail", "warning"):
+            style = "red" if row.status == "fail" else "yellow"
+            text = Text(
+                f"  {row.status} {row.clause} {row.requirement}: {row.measured}; limit {row.limit}", style=style
+            )
+            out.print(text)
+
+
+def print_score(score: Score, out: Console) -> None:
+    """Truth against estimate of the quantities that matter most, and the greatest |z|."""
+    if not score.items:
+        out.print("score: no mounting was estimated")
+        return
+    table = Table(title="score against truth/", title_justify="left", pad_edge=False)
+    for name in ("quantity", "truth", "estimate", "error", "std", "z"):
+        table.add_column(name, justify="left" if name == "quantity" else "right")
+    for item in score.items:
+        z = "–" if item.z is None else f"{item.z:+.2f}"
+        digits = 4
+        table.add_row(
+            f"{item.quantity} [{item.unit}]".replace("[", r"\["),
+            f"{item.truth:.{digits}f}",
+            f"{item.estimate:.{digits}f}",
+            f"{item.error:+.{digits}f}",
+            f"{item.std:.{digits}f}",
+            z,
+        )
+    out.print(table)
+    if score.max_abs_z is not None:
+        out.print(f"greatest |z| of {len(score.items)} quantities: {score.max_abs_z:.2f}")
+
+
+def summary(evaluation: Evaluation, score: Score | None, **more: Any) -> dict[str, Any]:
+    """What --json prints: values and grades, what does not conform, the score's greatest |z|."""
+    grades = evaluation.grades()
+    return {
+        "campaign": evaluation.campaign,
+        "indicators": {
+            i: {
+                "value": evaluation.indicator(i).value,
+                "unit": evaluation.indicator(i).unit,
+                "grade": grades[i],
+                "reason": evaluation.indicator(i).reason,
+            }
+            for i in INDICATORS
+        },
+        "groups": group_grades(grades),
+        "not_conforming": [
+            {"clause": r.clause, "requirement": r.requirement, "status": r.status}
+            for r in evaluation.conformity
+            if r.status in ("fail", "warning")
+        ],
+        "max_abs_z": None if score is None else score.max_abs_z,
+        **more,
+    }
