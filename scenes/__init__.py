@@ -6,10 +6,13 @@ Modules
 -------
 model     the data classes
 spectra   materials and their spectra from 400 to 1700 nm
-terrain   ground with slope, relief and texture
+streams   named random streams
+shapes    triangulated bodies: boxes, rings, placement
+terrain   ground with slope and relief
 panels    reflectance panels (6.2.2 a-b)
 frustums  geometric targets (6.2.2 c-g)
-layout    where they stand (6.2.3)
+fields    what both sensors see on every heading (6.2.3)
+layout    where targets stand in it (6.2.3)
 sunsky    position and spectrum of sun and sky
 build     Config -> Scene
 """

@@ -14,7 +14,7 @@ from scenes.frustums import (
     vertex_faces,
     vertex_offset_m,
 )
-from scenes.layout import Spot, place_targets
+from scenes.layout import BORDER_M, Spot, place_targets
 from scenes.model import Material, Mesh, Scene, Target
 from scenes.panels import panel_body
 from scenes.shapes import Body, placed
@@ -22,7 +22,6 @@ from scenes.spectra import material, panel_material
 from scenes.streams import LAYOUT, SPECTRA, TERRAIN, stream
 from scenes.terrain import Terrain, make_terrain, terrain_mesh
 
-FINE_BORDER_M = 5.0  # of the ground's fine grid around the field
 STAND_DEPTH_M = 0.1  # a stand's column reaches this far below the lowest ground under its target
 
 
@@ -153,7 +152,7 @@ def build_scene(config: Config) -> Scene:
             piece = frustum_body(frustums, indices, depth)
         targets.append(target)
         bodies.append(placed(piece, target.mark_m, target.azimuth_deg))
-    fine = (layout.field_half_m[0] + FINE_BORDER_M, layout.field_half_m[1] + FINE_BORDER_M)
+    fine = (layout.field_half_m[0] + BORDER_M, layout.field_half_m[1] + BORDER_M)
     return Scene(
         mesh=_merged(terrain_mesh(terrain, site.extent_m, fine), bodies),
         materials=tuple(materials),

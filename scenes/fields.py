@@ -20,36 +20,26 @@ def _highest_m(config: Config, half_m: float) -> float:
     frustums, panels, site = config.targets.frustums, config.targets.panels, config.site
     tops = [panels.stand_height_m + panels.thickness_m]
     if frustums.count:
-        tops.append(max(frustums.stand_heights_m) + PLATE_THICKNESS_M + top_m(frustums))
+        tops.append(max(frustums.stand_heights_m, default=0.0) + PLATE_THICKNESS_M + top_m(frustums))
     fall = np.radians(site.slope_azimuth_deg)
     rise = np.tan(np.radians(site.slope_deg)) * half_m * (abs(np.sin(fall)) + abs(np.cos(fall)))
     return float(max(tops) + rise + WOBBLE_SIGMAS * site.relief_m)
 
 
-def _nearest_to_middle_m(count: int, spacing_m: float, shift_m: float) -> float:
-    """Of `count` positions spaced symmetrically about 0 and all moved by shift_m: distance of the nearest one to 0. [m]"""
-    positions = (np.arange(count) - 0.5 * (count - 1)) * spacing_m + shift_m
-    return float(np.min(np.abs(positions)))
+def _line_offset_m(config: Config, height_m: float, tan_lidar: float) -> float:
+    """How far beside the range's centre the nearest of a heading's parallel strips runs: 0 for an odd number of them. [m]"""
+    if config.flight.strips_per_heading % 2:
+        return 0.0
+    return height_m * tan_lidar * (1.0 - config.flight.side_overlap)
 
 
-def exposure_offset_m(config: Config, heading_deg: float, height_m: float) -> float:
-    """How far from the range's centre, along track, the best placed image of a strip looks.
-
-    Exposures are spaced symmetrically about the strip's middle; the body leans by its mean pitch at the air speed of
-    that heading, which moves where a nadir camera looks. [m]
-    """
-    flight, platform, environment = config.flight, config.platform, config.environment
-    head_wind = environment.wind_speed_m_s * np.cos(np.radians(environment.wind_from_deg - heading_deg))
-    pitch = np.radians(platform.pitch_per_speed_deg_s_m * (flight.speed_m_s + head_wind))
-    return _nearest_to_middle_m(flight.images_per_strip, flight.image_spacing_m, height_m * float(np.tan(pitch)))
-
-
-def _inscribed_rectangle(across: np.ndarray, along: np.ndarray, heading_rad: np.ndarray) -> tuple[float, float]:
-    """Half extents (east, north) of the largest upright rectangle inside the rectangles of every heading."""
-    share = np.radians(np.linspace(0.5, 89.5, 179))
+def _inscribed_rectangle(across: float, along: float, heading_rad: np.ndarray) -> tuple[float, float]:
+    """Half extents (east, north) of the largest upright rectangle inside one image's rectangle turned to every heading."""
+    exact = np.arctan2([along, across], [across, along])  # what one heading, or two opposite ones, ask for
+    share = np.concatenate([np.radians(np.linspace(0.5, 89.5, 179)), exact])
     aspect = np.stack([np.cos(share), np.sin(share)])  # candidates: (east, north) directions
     c, s = np.abs(np.cos(heading_rad)), np.abs(np.sin(heading_rad))
-    limits = np.concatenate([across, along])
+    limits = np.repeat([across, along], len(heading_rad))
     rows = np.concatenate([np.stack([c, s], axis=1), np.stack([s, c], axis=1)])
     size = np.min(limits[:, None] / (rows @ aspect), axis=0)
     half = aspect * size
@@ -69,9 +59,10 @@ def common_field(config: Config, height_m: float) -> Layout:
     -------
     Layout
         camera, LiDAR and cone: nominal half extents on the ground. field: half extents of the upright rectangle that
-        every heading's camera and LiDAR see down at the tops of the targets, less the configured margin, three sigma
-        of attitude and track, and the distance of the best placed image from the range's centre (so that one image of
-        every strip holds all targets, 6.2.3 b). A field that vanishes has half extents of 0.
+        every heading's camera and LiDAR see down at the tops of the targets, less the configured margin and three
+        sigma of attitude and track, from the exposure that looks at the range's centre: the flight has one on every
+        strip (nearest to it, with an even number of strips), so that one image holds all targets (6.2.3 b). A field
+        that vanishes has half extents of 0.
 
     Raises
     ------
@@ -90,8 +81,8 @@ def common_field(config: Config, height_m: float) -> Layout:
             got=f"{low:g} to {high:g} deg",
             expected="a negative and a positive encoder angle",
         )
-    tan_lidar = np.tan(np.radians(min(-low, high, CONE_DEG)))
-    cone = np.tan(np.radians(CONE_DEG))
+    tan_lidar = float(np.tan(np.radians(min(-low, high, CONE_DEG))))
+    cone = float(np.tan(np.radians(CONE_DEG)))
 
     above = max(height_m - _highest_m(config, height_m * min(tan_across, tan_along, tan_lidar)), 0.0)
     keep = 1.0 - config.targets.layout_margin
@@ -105,19 +96,15 @@ def common_field(config: Config, height_m: float) -> Layout:
         wobble = np.sqrt((above * (1.0 + tangent**2) * angle) ** 2 + track**2 + (above * other * yaw) ** 2)
         return float(min(above * tangent * keep, above * cone) - wobble)
 
-    side_step = 2.0 * height_m * tan_across * (1.0 - flight.side_overlap)
-    lateral = _nearest_to_middle_m(flight.strips_per_heading, side_step, 0.0)
-    across = min(room(tan_across, roll, tan_along), room(float(tan_lidar), roll, 0.0)) - lateral
-    along = np.array(
-        [room(tan_along, pitch, tan_across) - exposure_offset_m(config, h, above) for h in flight.headings_deg]
-    )
-    heading = np.radians(np.asarray(flight.headings_deg, dtype=float))
+    across = min(room(tan_across, roll, tan_along), room(tan_lidar, roll, 0.0))
+    across -= _line_offset_m(config, height_m, tan_lidar)
+    along = room(tan_along, pitch, tan_across)
     field = (0.0, 0.0)
-    if across > 0.0 and np.all(along > 0.0):
-        field = _inscribed_rectangle(np.full(len(heading), across), along, heading)
+    if across > 0.0 and along > 0.0:
+        field = _inscribed_rectangle(across, along, np.radians(np.asarray(flight.headings_deg, dtype=float)))
     return Layout(
         camera_half_m=(height_m * tan_across, height_m * tan_along),
-        lidar_half_m=float(height_m * tan_lidar),
-        cone_half_m=height_m * float(cone),
+        lidar_half_m=height_m * tan_lidar,
+        cone_half_m=height_m * cone,
         field_half_m=field,
     )

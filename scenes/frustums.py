@@ -21,6 +21,7 @@ PLATE_THICKNESS_M = 0.008
 PLATE_BORDER_M = 0.02  # outside the funnel's corners (inverted: outside its supports)
 SUPPORT_WIDTH_M = 0.012
 STAND_SHARE = 0.4  # edge of the stand's column over the plate's
+LEAST_SHEET_M = 5e-5  # a sheet of no thickness would leave it to chance which of its two faces a ray meets
 MARK_SEGMENTS = 64  # a multiple of 8; the polygon is 0.06 % smaller in radius than the circle, on the mean
 OVERLAP_M = 0.001  # parts that are joined reach this far into each other, so that no gap and no shared face is left
 
@@ -48,7 +49,7 @@ def vertex_faces(frustums: Frustums) -> str:
 
 def _sheet_shift_m(frustums: Frustums) -> float:
     """How far a sheet's second face lies beside the first, measured horizontally: t / sin(54.74 degrees). [m]"""
-    return frustums.thickness_m * float(np.sqrt(1.5))
+    return max(frustums.thickness_m, LEAST_SHEET_M) * float(np.sqrt(1.5))
 
 
 def plate_edge_m(frustums: Frustums) -> float:
@@ -87,8 +88,6 @@ def _funnel(frustums: Frustums, materials: FrustumMaterials) -> Body:
     )
     sides = np.arange(4)
     part = np.concatenate([PART_INNER + sides, PART_OUTER + sides, np.full(8, PART_RIM)])
-    if frustums.thickness_m == 0.0:  # two coinciding sheets without rims
-        quads, part = quads[:8], part[:8]
     return body(np.concatenate(rings), quads_to_triangles(quads), materials.face, np.repeat(part, 2))
 
 

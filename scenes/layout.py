@@ -18,6 +18,7 @@ from scenes.panels import half_diagonal_m
 SEARCH_RADIUS_M = 1.0  # an evaluator's window about a target whose mounting is not yet known
 CLEARANCE_M = 0.3  # between the circles about two neighbours
 JITTER = 0.15  # of the grid's step, at most
+BORDER_M = 5.0  # of ground around the field, at least
 CORNERS_AND_CENTRE = 5
 
 
@@ -114,6 +115,7 @@ def _refuse(config: Config, step_m: float, layout: Layout) -> ConfigError:
         if _best_grid(count, _node_half_m(config, field))[2] >= needed:
             fits = height * factor
             break
+    odd = "set an odd flight.strips_per_heading, " if config.flight.strips_per_heading % 2 == 0 else ""
     raise_to = f"fly at {fits:.1f} m or higher, " if fits is not None else ""
     return ConfigError(
         f"{count} targets do not fit in the field that both sensors see on every heading (6.2.3)",
@@ -123,10 +125,7 @@ def _refuse(config: Config, step_m: float, layout: Layout) -> ConfigError:
             f" and {step_m:.2f} m from target to target"
         ),
         expected=f"at least {needed:.2f} m",
-        remedy=(
-            f"{raise_to}set an odd flight.images_per_strip or a smaller flight.image_spacing_m (one image of each strip"
-            " must hold all targets), or fewer or smaller targets"
-        ),
+        remedy=(f"{raise_to}{odd}or place fewer or smaller targets"),
     )
 
 
@@ -154,8 +153,15 @@ def place_targets(config: Config, rng: np.random.Generator) -> tuple[Layout, tup
     Raises
     ------
     ConfigError
-        They do not fit at that height; the message names the height that would do.
+        They do not fit at that height (the message names the height that would do), or the ground ends inside the field.
     """
+    if config.targets.frustums.count and not config.targets.frustums.stand_heights_m:
+        raise ConfigError(
+            "no stand height is given",
+            where="targets.frustums.stand_heights_m",
+            got="an empty list",
+            expected="one or more heights in metres",
+        )
     layout = common_field(config, min(config.flight.heights_m))
     frustum_count, panel_count = _target_count(config)
     count = frustum_count + panel_count
@@ -164,6 +170,15 @@ def place_targets(config: Config, rng: np.random.Generator) -> tuple[Layout, tup
     spare = step - minimum_spacing_m(config)
     if spare < 0.0:
         raise _refuse(config, step, layout)
+
+    reach = max(layout.field_half_m) + BORDER_M
+    if 0.5 * config.site.extent_m < reach:
+        raise ConfigError(
+            "the ground ends inside the field that targets cover",
+            where="site.extent_m",
+            got=f"{config.site.extent_m:g} m",
+            expected=f"at least {2.0 * reach:.1f} m at a lowest height of {min(config.flight.heights_m):g} m",
+        )
 
     xs = np.linspace(-half[0], half[0], columns) if columns > 1 else np.zeros(1)
     ys = np.linspace(-half[1], half[1], rows) if rows > 1 else np.zeros(1)

@@ -142,13 +142,24 @@ def panel_material(level_percent: float, base_material: str, rng: np.random.Gene
     Material
         Darker panels keep less of the standard's own features (carbon black has none) and tilt more: up to 4 % over
         the 1300 nm at 5 %. In any band of 150 nm or less that is far below the 5 % of 6.2.2 b.
+
+    Raises
+    ------
+    ConfigError
+        A level that is not above 0 and at most 100.
     """
+    if not 0.0 < level_percent <= 100.0:
+        raise ConfigError(
+            "no such reflectance level",
+            where="targets.panels.nominal_reflectance_percent",
+            got=f"{level_percent:g}",
+            expected="above 0 and at most 100 %",
+        )
     white = material(base_material)
     level = level_percent / 100.0
     offset, tilt = rng.standard_normal(), rng.uniform(-1.0, 1.0)
-    share_of_white = min(level, 1.0)
-    shape = (white.reflectance / np.mean(white.reflectance)) ** np.sqrt(share_of_white)
-    slope = 1.0 + 0.02 * (1.0 - share_of_white) * tilt * (WAVELENGTH_NM - 1050.0) / 650.0
+    shape = (white.reflectance / np.mean(white.reflectance)) ** np.sqrt(level)
+    slope = 1.0 + 0.02 * (1.0 - level) * tilt * (WAVELENGTH_NM - 1050.0) / 650.0
     if level >= 1.0:
         mean = np.mean(white.reflectance) * (1.0 - 0.25 * spread * abs(offset))
     else:
