@@ -44,7 +44,7 @@ class FrustumModel:
     def normals(self) -> np.ndarray:
         """(4, 3) of the stated faces, towards the side from which a sensor above sees them."""
         up = np.ones((4, 1))
-        return np.concatenate([-self.sign * SLOPE * _AZIMUTHS, up], axis=1) / np.sqrt(3.0)
+        return np.asarray(np.concatenate([-self.sign * SLOPE * _AZIMUTHS, up], axis=1) / np.sqrt(3.0))
 
 
 def frustum_model(target: SurveyedTarget, world_frame: WorldFrame) -> FrustumModel:
@@ -77,7 +77,7 @@ class _Rays:
 
     @property
     def points(self) -> np.ndarray:
-        return self.origin_m + self.range_m[:, None] * self.direction
+        return np.asarray(self.origin_m + self.range_m[:, None] * self.direction)
 
 
 def _coarse(points: np.ndarray, model: FrustumModel) -> tuple[np.ndarray, int]:
