@@ -192,6 +192,7 @@ def place_targets(config: Config, rng: np.random.Generator) -> tuple[Layout, tup
 
     jitter = min(JITTER * step, 0.5 * spare) if np.isfinite(step) else 0.0
     moved = points + rng.uniform(-jitter, jitter, points.shape)
+    moved[special] = points[special]  # the five that 6.2.3 a names stay exactly there
     points = np.clip(moved, [-half[0], -half[1]], [half[0], half[1]])
 
     kind = np.zeros(count, dtype=int)  # 1: frustum

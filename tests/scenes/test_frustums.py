@@ -32,7 +32,7 @@ def plane(piece: Body, part: int) -> tuple[np.ndarray, float]:
 
 
 def stated_parts(frustums: Frustums) -> range:
-    return range(0, 4) if vertex_faces(frustums) == "inner" else range(4, 8)
+    return range(4) if vertex_faces(frustums) == "inner" else range(4, 8)
 
 
 def meeting_point(piece: Body, parts: range) -> tuple[np.ndarray, float]:
