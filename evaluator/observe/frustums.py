@@ -87,18 +87,17 @@ def _coarse(points: np.ndarray, model: FrustumModel) -> tuple[np.ndarray, int]:
         return np.zeros(3), 0
     top = np.sort(points[:, 2])[-3]
     z_vertex = top - (b / np.sqrt(2.0) if model.inverted else -b / np.sqrt(8.0))
-    body = points[points[:, 2] > top - b * 0.34]
+    body = points[points[:, 2] > top - b * 0.38]
     middle = 0.5 * (np.quantile(body[:, :2], 0.02, axis=0) + np.quantile(body[:, :2], 0.98, axis=0))
     best, most = np.zeros(3), -1
-    for step, half, half_z in ((0.05 * b, 8, 3), (0.015 * b, 3, 3)):
+    for step, half, half_z in ((0.05 * b, 4, 2), (0.015 * b, 3, 3)):
         centre = np.array([*middle, z_vertex]) if most < 0 else best
         xy = step * np.arange(-half, half + 1)
         z = step * np.arange(-half_z, half_z + 1)
         shifts = centre + np.stack(np.meshgrid(xy, xy, z, indexing="ij"), axis=-1).reshape(-1, 3)
-        near = points[np.all(np.abs(points[:, :2] - centre[:2]) < b + half * step, axis=1)]
-        relative = near[None, :, :] - shifts[:, None, :]
-        run = np.max(np.abs(relative[:, :, :2]), axis=2)
-        miss = np.abs(relative[:, :, 2] - sign * SLOPE * run)
+        near = body[np.all(np.abs(body[:, :2] - centre[:2]) < 0.5 * b + half * step, axis=1)]
+        run = np.maximum(np.abs(near[:, 0] - shifts[:, :1]), np.abs(near[:, 1] - shifts[:, 1:2]))
+        miss = np.abs(near[:, 2] - shifts[:, 2:] - sign * SLOPE * run)
         on = (run > 0.25 * b) & (run < 0.5 * b)
         score = np.sum(np.where(on, np.clip(1.0 - (miss / (1.5 * step)) ** 2, 0.0, None), 0.0), axis=1)
         k = int(np.argmax(score))
@@ -197,6 +196,7 @@ def find_vertex(
     lidar: LidarSheet,
     sortie: int,
     strip: int,
+    located: bool = False,
 ) -> VertexObservation | str:
     """Vertex of the stated faces from one strip.
 
@@ -217,6 +217,8 @@ def find_vertex(
     lidar : LidarSheet
         Precision, encoder noise and divergence.
     sortie, strip : int
+    located : bool
+        The mounting is known to a few hundredths of a degree already: begin at the surveyed place, without a search.
 
     Returns
     -------
@@ -238,7 +240,7 @@ def find_vertex(
     footprint = 0.5 * scale * lidar.divergence_rad * float(np.median(distance))
     if 1.2 * footprint >= 0.25 * model.long_edge_m:
         return f"footprint of {footprint:.3f} m on faces {0.25 * model.long_edge_m:.3f} m wide"
-    vertex, count = _coarse(rays.points, model)
+    vertex, count = (np.zeros(3), len(p_lidar_m)) if located else _coarse(rays.points, model)
     if count < _LEAST_FACES * _LEAST_POINTS:
         return f"no funnel found: {max(count, 0)} returns on its faces"
 
