@@ -109,6 +109,7 @@ def decompose(
     GB/T 41450-2022, 8.1.2 e. Wagner et al. (2006), ISPRS J. 60(2), 100-112, doi:10.1016/j.isprsjprs.2005.12.001.
     """
     from evaluator.observe import gaussian_fit as kernels  # numba loads only where packets are fitted
+    from evaluator.observe.quiet_level import quiet_level
 
     data = np.ascontiguousarray(np.asarray(packets, dtype=np.float64))
     if data.ndim != 2:
@@ -129,7 +130,7 @@ def decompose(
     level, spread = np.full(p, np.nan), np.full(p, np.nan)
     blocks = [slice(i, min(i + _BLOCK, p)) for i in range(0, p, _BLOCK)]
     with ThreadPoolExecutor(max_workers=pool_size) as pool:
-        list(pool.map(lambda b: kernels.quiet_level(data[b], level[b], spread[b]), blocks))
+        list(pool.map(lambda b: quiet_level(data[b], level[b], spread[b]), blocks))
         if baseline_dn is not None:
             level = np.where(np.isnan(level), np.nan, float(baseline_dn))
         noise_given = noise_dn

@@ -1,0 +1,342 @@
+"""Reflectance panels in the cloud: which returns lie on a panel, and their mean amplitude, range and incidence.
+
+A panel is searched where the survey and the mounting put it; without a mounting solution, near there, by its contrast in
+height and amplitude against what surrounds it. Panels in images: `panel_images.py`. Reflectance is computed by 8.1 and 8.3.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from campaign.errors import CampaignError
+from campaign.las import StripReader
+from campaign.sensors import LidarSheet
+from campaign.survey import SurveyedTarget
+from evaluator.frames import WorldFrame
+from evaluator.georeference import TargetReturns, lidar_points, nominal_mountings, world_points
+from evaluator.model import CampaignData, EvaluationError, Mounting
+from evaluator.observe.waveforms import decompose
+
+_MIN_RETURNS = 5
+_HEIGHT_WINDOW_M = 0.06  # about the panel's median height; panels stand higher than this above the ground
+_SEARCH_M = 1.2
+_SEARCH_STEP_M = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class LidarPanelObservation:
+    """One panel in one strip: means over the returns whose footprint lies wholly on it."""
+
+    panel: str
+    sortie: int
+    strip: int
+    design_height_m: float  # of the strip (plan); without a plan the mean height above the panels, whole metres
+    points: int  # returns on the whole panel (5.5 b)
+    used: int  # returns behind the means
+    amplitude_dn: float  # linear
+    amplitude_std_dn: float  # of the single return
+    range_m: float
+    cos_incidence: float  # the panel is level
+    echo_fwhm_ns: float  # NaN without waveforms
+    from_waveform: bool  # else the file's own amplitude
+    offset_m: tuple[float, float, float]  # of the returns against the survey: searched shift east, north; height found
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImagePanelObservation:
+    """One panel in one image: means over the pixels inside its shrunk outline."""
+
+    panel: str
+    sortie: int
+    strip: int
+    image: str
+    mean_dn: tuple[float, ...]  # a band, black level subtracted
+    std_dn: tuple[float, ...]
+    clipped_share: tuple[float, ...]
+    pixels: int
+    uneven: bool  # means of its nine parts differ by over a tenth: partly shaded, or not the panel alone
+    region_px: np.ndarray  # (4, 2) the outline that was used
+
+
+def panel_axes_world(target: SurveyedTarget, world_frame: WorldFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Centre of the panel's top face and its axes x, y, up as rows, in the world frame: (3,), (3, 3)."""
+    a = np.radians(target.azimuth_deg)
+    centre = np.array([target.easting_m, target.northing_m, target.height_m])
+    steps = np.array([[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0]])
+    world = world_frame.world_from_map(np.stack([centre, centre + steps[0], centre + steps[1]]))
+    x = world[1] - world[0]
+    x /= np.linalg.norm(x)
+    y = world[2] - world[0]
+    y -= x * (x @ y)
+    y /= np.linalg.norm(y)
+    return world[0], np.stack([x, y, np.cross(x, y)])
+
+
+def find_panel_shift(local_m: np.ndarray, amplitude: np.ndarray, size_m: float) -> np.ndarray | None:
+    """Where a panel lies near its predicted place, by contrast.
+
+    The square that is most uniform in height and amplitude and differs most from the ring about it, on a grid of 5 cm within
+    1.2 m.
+
+    Parameters
+    ----------
+    local_m : (n, 3) np.ndarray
+        Returns in the panel's axes, origin at its predicted centre. [m]
+    amplitude : (n,) np.ndarray
+        Linear amplitude.
+    size_m : float
+        Edge of the panel. [m]
+
+    Returns
+    -------
+    (2,) np.ndarray or None
+        Shift along the panel's x and y, None where nothing stands out. [m]
+    """
+    step = _SEARCH_STEP_M
+    half = max(1, round(0.5 * size_m / step))
+    ring = half + max(2, round(0.25 * size_m / step))
+    reach = round(_SEARCH_M / step)
+    edge = ring + reach
+    cell = np.floor(local_m[:, :2] / step).astype(np.int64) + edge
+    width = 2 * edge
+    inside = np.all((cell >= 0) & (cell < width), axis=1)
+    if inside.sum() < 4 * _MIN_RETURNS:
+        return None
+    flat = cell[inside, 0] * width + cell[inside, 1]
+    features = [local_m[inside, 2], np.log(np.maximum(amplitude[inside], 1e-3))]
+    floors = [0.01, 0.05]
+    centres = np.arange(-reach, reach + 1) + edge
+
+    def boxes(weights: np.ndarray | None, size: int) -> np.ndarray:
+        grid = np.bincount(flat, weights=weights, minlength=width * width).reshape(width, width)
+        total = np.zeros((width + 1, width + 1))
+        total[1:, 1:] = grid.cumsum(axis=0).cumsum(axis=1)
+        low, high = centres - size, centres + size
+        return np.asarray(
+            total[np.ix_(high, high)] - total[np.ix_(low, high)] - total[np.ix_(high, low)] + total[np.ix_(low, low)]
+        )
+
+    count_in, count_all = boxes(None, half), boxes(None, ring)
+    count_ring = count_all - count_in
+    score = np.zeros_like(count_in)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for values, floor in zip(features, floors, strict=True):
+            values = values - values.mean()
+            sum_in = boxes(values, half)
+            mean_in = sum_in / count_in
+            mean_ring = (boxes(values, ring) - sum_in) / count_ring
+            variance = np.maximum(boxes(values**2, half) / count_in - mean_in**2, 0.0)
+            score += np.abs(mean_in - mean_ring) / np.sqrt(variance + floor**2)
+    score[(count_in < _MIN_RETURNS) | (count_ring < _MIN_RETURNS)] = -np.inf
+    score[~np.isfinite(score)] = -np.inf
+    best = np.unravel_index(int(np.argmax(score)), score.shape)
+    if not score[best] > 3.0:
+        return None
+    near = score >= 0.97 * score[best]  # a plateau's middle, not its first cell
+    rows, columns = np.nonzero(near)
+    close = (np.abs(rows - best[0]) <= 3) & (np.abs(columns - best[1]) <= 3)
+    return np.array([rows[close].mean() - reach, columns[close].mean() - reach]) * step
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OnPanel:
+    """Returns of one strip on one panel."""
+
+    key: tuple[int, int, str]
+    index: np.ndarray  # into the target's returns: those whose footprint lies on the panel
+    points: int
+    range_m: np.ndarray
+    cos_incidence: np.ndarray
+    height_above_m: float
+    offset_m: tuple[float, float, float]
+
+
+def lidar_panel_observations(
+    data: CampaignData,
+    returns: Mapping[tuple[int, int, str], TargetReturns],
+    body_from_lidar: Mounting | None,
+) -> list[LidarPanelObservation]:
+    """Every panel in every strip, sorted by sortie, strip and panel.
+
+    Parameters
+    ----------
+    data : CampaignData
+    returns : mapping
+        From `georeference.collect_target_returns`, about the panels; other targets are passed over.
+    body_from_lidar : Mounting or None
+        The solved mounting. None: the nominal one, and each panel is searched by contrast.
+
+    Raises
+    ------
+    EvaluationError
+        The campaign has no rig or no LiDAR sheet.
+    """
+    if data.rig is None or data.lidar is None:
+        raise EvaluationError("sensors/rig.json and sensors/lidar.json are needed to find panels in the cloud")
+    panels = {t.id: t for t in data.targets if t.kind == "panel"}
+    frame = WorldFrame(data.manifest)
+    mounting = body_from_lidar or nominal_mountings(data.rig)[1]
+    found: list[LidarPanelObservation] = []
+    for sortie in data.sorties:
+        if sortie.trajectory is None:
+            continue
+        for strip in sortie.strips:
+            chosen: list[_OnPanel] = []
+            for name in sorted(panels):
+                key = (sortie.folder.number, strip, name)
+                if key not in returns:
+                    continue
+                rows = returns[key].returns
+                p_lidar = lidar_points(rows.xyz_m, rows.gps_time_s, sortie.trajectory, data.rig, frame)
+                world = world_points(p_lidar, rows.gps_time_s, sortie.trajectory, mounting, frame)
+                origin = world_points(np.zeros_like(p_lidar), rows.gps_time_s, sortie.trajectory, mounting, frame)
+                on = _returns_on_panel(
+                    key, panels[name], returns[key], world, origin, data.lidar, frame, body_from_lidar is None
+                )
+                if on is not None:
+                    chosen.append(on)
+            found += _strip_observations(data, sortie.folder.strip_las(strip), chosen, returns)
+    return found
+
+
+def _returns_on_panel(
+    key: tuple[int, int, str],
+    panel: SurveyedTarget,
+    rows: TargetReturns,
+    world_m: np.ndarray,
+    origin_m: np.ndarray,
+    lidar: LidarSheet,
+    frame: WorldFrame,
+    searched: bool,
+) -> _OnPanel | None:
+    centre, axes = panel_axes_world(panel, frame)
+    local = (world_m - centre) @ axes.T
+    shift = np.zeros(2)
+    if searched:
+        result = find_panel_shift(local, rows.returns.amplitude, panel.size_m)
+        if result is None:
+            return None
+        shift = result
+    ray = origin_m - world_m
+    range_m = np.linalg.norm(ray, axis=1)
+    cosine = (ray @ axes[2]) / np.maximum(range_m, 1e-9)
+    offset = np.abs(local[:, :2] - shift)
+    half = 0.5 * panel.size_m
+    whole = np.all(offset <= half, axis=1)
+    core = np.all(offset <= 0.5 * half, axis=1)
+    if core.sum() < _MIN_RETURNS:
+        return None
+    height = float(np.median(local[core, 2]))
+    level = np.abs(local[:, 2] - height) <= _HEIGHT_WINDOW_M
+    # The beam's footprint (full width at 1/e^2, stretched by incidence) and the residual error of place keep off the rim.
+    width = lidar.divergence_rad * (1.7 if lidar.divergence_definition == "fwhm" else 1.0)
+    margin = 0.75 * width * range_m / np.maximum(cosine, 0.1) + (0.12 if searched else 0.05)
+    clear = np.all(offset <= (half - np.minimum(margin, 0.6 * half))[:, None], axis=1)
+    single = (rows.returns.return_number == 1) & (rows.returns.number_of_returns <= 1)
+    index = np.flatnonzero(clear & level & single)
+    if index.size < _MIN_RETURNS:
+        return None
+    along = shift @ axes[:2]
+    return _OnPanel(
+        key=key,
+        index=index,
+        points=int(np.sum(whole & level)),
+        range_m=range_m[index],
+        cos_incidence=cosine[index],
+        height_above_m=float(np.mean(ray[index] @ axes[2])),
+        offset_m=(float(along[0]), float(along[1]), height),
+    )
+
+
+def _strip_observations(
+    data: CampaignData,
+    las: Path,
+    chosen: Sequence[_OnPanel],
+    returns: Mapping[tuple[int, int, str], TargetReturns],
+) -> list[LidarPanelObservation]:
+    """Decomposes the packets of one strip's panels together, then averages a panel at a time."""
+    if not chosen or data.lidar is None:
+        return []
+    amplitude = np.concatenate([returns[o.key].returns.amplitude[o.index] for o in chosen]).astype(np.float64)
+    packet = np.concatenate([returns[o.key].returns.packet[o.index] for o in chosen])
+    location_ns = np.concatenate([returns[o.key].returns.return_location_ps[o.index] for o in chosen]) / 1000.0
+    width = np.full(amplitude.size, np.nan)
+    measured = np.zeros(amplitude.size, dtype=bool)
+    if (packet >= 0).any():
+        try:
+            wave_amplitude, width = _amplitude_of_packets(las, packet, location_ns, data.lidar)
+            measured = np.isfinite(wave_amplitude)
+            amplitude = np.where(measured, wave_amplitude, amplitude)
+        except (
+            CampaignError
+        ):  # a broken .wdp leaves the file's own amplitudes; 8.1 then says that waveforms are missing
+            measured[:] = False
+    heights = {(s.sortie, s.strip): s.height_m for s in data.plan.strips} if data.plan is not None else {}
+    flown = float(np.round(np.mean([o.height_above_m for o in chosen])))
+    observations, start = [], 0
+    for o in chosen:
+        part = slice(start, start + o.index.size)
+        start += o.index.size
+        from_waveform = bool(measured[part].mean() > 0.5)
+        use = measured[part] if from_waveform else np.isfinite(amplitude[part])
+        if use.sum() < _MIN_RETURNS:
+            continue
+        values = amplitude[part][use]
+        # A few returns that grazed something else must not move the mean.
+        middle = np.median(values)
+        spread = 1.4826 * np.median(np.abs(values - middle))
+        use[use] = np.abs(values - middle) <= max(5.0 * spread, 1e-6 * abs(middle))
+        values = amplitude[part][use]
+        echo_width = width[part][use]
+        observations.append(
+            LidarPanelObservation(
+                panel=o.key[2],
+                sortie=o.key[0],
+                strip=o.key[1],
+                design_height_m=heights.get((o.key[0], o.key[1]), flown),
+                points=o.points,
+                used=int(use.sum()),
+                amplitude_dn=float(values.mean()),
+                amplitude_std_dn=float(values.std(ddof=1)),
+                range_m=float(o.range_m[use].mean()),
+                cos_incidence=float(o.cos_incidence[use].mean()),
+                echo_fwhm_ns=float(np.nanmean(echo_width)) if np.isfinite(echo_width).any() else float("nan"),
+                from_waveform=from_waveform,
+                offset_m=o.offset_m,
+            )
+        )
+    return observations
+
+
+def _amplitude_of_packets(
+    las: Path, packet: np.ndarray, location_ns: np.ndarray, lidar: LidarSheet
+) -> tuple[np.ndarray, np.ndarray]:
+    """Amplitude [DN] and width [ns] of the echo at each return's place in its packet; NaN where there is none."""
+    reader = StripReader(las)
+    amplitude, width = np.full(packet.size, np.nan), np.full(packet.size, np.nan)
+    sampling_ns = reader.sampling_ps / 1000.0
+    numbers = np.unique(packet[packet >= 0])
+    if sampling_ns <= 0.0 or numbers.size == 0:
+        return amplitude, width
+    echoes = decompose(
+        reader.waveforms(numbers),
+        sampling_ns,
+        echo_fwhm_ns=lidar.echo_fwhm_ns,
+        saturation_dn=2.0**lidar.bit_depth - 1.0,
+    )
+    if echoes.packet.size == 0:
+        return amplitude, width
+    row = np.searchsorted(numbers, packet)
+    # Echoes are sorted by packet and time: the nearest in time of the same packet stands left or right of the place.
+    span = 1e7
+    keys = echoes.packet * span + echoes.centre_ns
+    wanted = row * span + location_ns
+    right = np.clip(np.searchsorted(keys, wanted), 0, keys.size - 1)
+    left = np.clip(right - 1, 0, keys.size - 1)
+    nearest = np.where(np.abs(keys[left] - wanted) <= np.abs(keys[right] - wanted), left, right)
+    hit = (packet >= 0) & (np.abs(keys[nearest] - wanted) <= lidar.echo_fwhm_ns)
+    amplitude[hit] = echoes.amplitude_dn[nearest[hit]]
+    width[hit] = echoes.fwhm_ns[nearest[hit]]
+    return amplitude, width
