@@ -264,6 +264,22 @@ class StripReader:
     def _packets(self) -> PacketTable | None:
         return packet_table(self._header) if self._header.has_waveforms else None
 
+    def time_range(self) -> tuple[float, float] | None:
+        """Least and greatest time of the records; None without points or times."""
+        if self.point_count == 0 or "gps_time" not in (self._header.record.names or ()):
+            return None
+        ends = [
+            (float(block["gps_time"].min()), float(block["gps_time"].max()))
+            for _, block in records(self._header, max(1, MAX_CHUNK_BYTES // self._header.record.itemsize))
+        ]
+        start = week_start_s(self._gps_week) if self._gps_week is not None and self.week_seconds else 0.0
+        return min(e[0] for e in ends) + start, max(e[1] for e in ends) + start
+
+    def check_packets(self) -> None:
+        """Raises CampaignError when the .wdp is missing or shorter than the packets say."""
+        if self._packets is not None:
+            self._packets.check()
+
     def chunks(self, points_per_chunk: int = 1_000_000) -> Iterator[tuple[int, Returns]]:
         """Yields (number of the first record, returns)."""
         size = max(1, min(points_per_chunk, MAX_CHUNK_BYTES // self._header.record.itemsize))

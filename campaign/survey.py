@@ -15,6 +15,7 @@ from campaign.formats.text import (
     one_of,
     optional,
     positive,
+    raise_problems,
     read_rows,
     read_table,
     write_rows,
@@ -109,15 +110,16 @@ def read_targets(path: Path) -> list[SurveyedTarget]:
     """Raises CampaignError naming row and column: NaN, duplicate id, unknown kind, missing or unknown column."""
     rows = read_rows(path, TARGET_COLUMNS)
     seen: set[str] = set()
+    problems = []
     for i, row in enumerate(rows, 2):
         if row["id"] in seen:
-            raise CampaignError("the id occurs twice", where=f"{path} row {i} column id", got=row["id"])
+            problems.append(CampaignError("the id occurs twice", where=f"{path} row {i} column id", got=row["id"]))
         seen.add(row["id"])
         for column in _NEEDED[row["kind"]]:
             if row[column] is None:
-                raise CampaignError(
-                    "is empty", where=f"{path} row {i} column {column}", expected=f"a value for a {row['kind']}"
-                )
+                where = f"{path} row {i} column {column}"
+                problems.append(CampaignError("is empty", where=where, expected=f"a value for a {row['kind']}"))
+    raise_problems(problems)
     return [SurveyedTarget(**row) for row in rows]
 
 

@@ -55,6 +55,7 @@ class PacketTable:
     base: int  # byte of `source` from which offsets count
     descriptors: tuple[WaveDescriptor, ...]
     first: int
+    end: int  # the byte, counted from `base`, behind the last packet that a record names
     offset: np.ndarray | None  # (p,) increasing
     index: np.ndarray | None  # (p,) place in `descriptors` of each
 
@@ -89,20 +90,21 @@ class PacketTable:
             if len(where) == 0:
                 continue
             if int(start.max()) + size > len(data):
-                raise CampaignError(
-                    "is shorter than its packets say",
-                    where=str(self.source),
-                    got=f"{len(data)} bytes",
-                    expected=f"at least {int(start.max()) + size}",
-                )
+                raise self._short(int(start.max()) + size)
             yield descriptor, where, _gather(data, start, descriptor)
 
-    def last_byte(self) -> int:
-        """The least size of `source` that holds every packet of the table (0 for counted packets)."""
-        if self.offset is None or self.index is None or len(self.offset) == 0:
-            return 0
-        sizes = np.array([d.packet_bytes for d in self.descriptors], np.int64)
-        return int((self.base + self.offset + sizes[self.index]).max())
+    def check(self) -> None:
+        """Raises CampaignError when the packets that records name do not lie in the file."""
+        if self.end > 0 and len(self._data()) < self.base + self.end:
+            raise self._short(self.base + self.end)
+
+    def _short(self, expected: int) -> CampaignError:
+        return CampaignError(
+            "is shorter than its packets say",
+            where=str(self.source),
+            got=f"{len(self._data())} bytes",
+            expected=f"at least {expected}",
+        )
 
     def _data(self) -> np.ndarray:
         try:
@@ -140,6 +142,7 @@ def packet_table(header: LasHeader) -> PacketTable:
     groups: dict[int, WaveDescriptor] = {}  # (descriptor << 32 | bytes) -> the descriptor with the packets' own length
     phases: set[int] = set()
     found: list[np.ndarray] = []
+    end = 0
     step = max(1, min(_SCAN_POINTS, 128_000_000 // header.record.itemsize))
     for _, block in records(header, step):
         block = block[known[block["descriptor"]]]
@@ -159,11 +162,12 @@ def packet_table(header: LasHeader) -> PacketTable:
         by_value = np.argsort(order)
         group = by_value[np.searchsorted(order, kind, sorter=by_value)]
         phases.update(np.unique(at % size).tolist()[:2])
+        end = max(end, int((at + size).max()))
         found.append(np.unique(at << 16 | group))
     source, base = _source(header)
     descriptors = tuple(groups.values())
     table = PacketTable(
-        las=header.path, source=source, base=base, descriptors=descriptors, first=0, offset=None, index=None
+        las=header.path, source=source, base=base, descriptors=descriptors, first=0, end=end, offset=None, index=None
     )
     if len(descriptors) == 0:
         return table

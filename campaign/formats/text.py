@@ -139,7 +139,7 @@ def read_rows(path: Path, columns: Mapping[str, Parse], required: Iterable[str] 
         raise CampaignError(
             wrong or f"column {missing[0]!r} is missing", where=str(path), expected="columns " + ", ".join(columns)
         )
-    out = []
+    out, problems = [], []
     for i, row in enumerate(rows, 2):
         cells = {}
         for name, text in zip(header, row):
@@ -147,11 +147,20 @@ def read_rows(path: Path, columns: Mapping[str, Parse], required: Iterable[str] 
                 cells[name] = columns[name](text.strip())
             except (ValueError, OverflowError) as error:
                 expected = "a number" if "could not convert" in str(error) else error
-                raise CampaignError(
-                    "wrong value", where=f"{path} row {i} column {name}", got=repr(text[:40]), expected=expected
-                ) from None
+                where = f"{path} row {i} column {name}"
+                problems.append(CampaignError("wrong value", where=where, got=repr(text[:40]), expected=expected))
         out.append(cells)
+    raise_problems(problems)
     return out
+
+
+def raise_problems(problems: Sequence[CampaignError]) -> None:
+    """One error whose text is the first problem and the number of others; `problems` holds a line for each."""
+    if len(problems) == 1:
+        raise problems[0]
+    if problems:
+        more = f"and {len(problems) - 1} more problems in this file"
+        raise CampaignError(str(problems[0]), remedy=more, problems=[str(p) for p in problems])
 
 
 def write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
