@@ -1,0 +1,81 @@
+"""Parts of the strip simulation: fast map coordinates, fast rotations, the kept-packet mask, imports."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from campaign.config import Site
+from campaign.errors import ConfigError
+from simulator.footprint import gaussian_footprint
+from simulator.frames import SiteFrame
+from simulator.georeference import MapPatch, beams_world, rotate
+from simulator.motion import Motion, SensorMounting
+from simulator.radar_equation import extinction_per_km, unambiguous_range_m
+
+
+@pytest.mark.parametrize("latitude", [-35.0, 0.0, 31.3, 60.0])
+def test_map_patch_equals_the_exact_projection(latitude: float) -> None:
+    """Rationale: LAS rows go through a cubic that stands for pyproj. Expected: the same map coordinates anywhere within 2 km
+    and 1200 m of height. Tolerance: 1 µm; terms left out are of order (2 km)^4 / R^3 = 6e-8 m."""
+    frame = SiteFrame(Site(latitude_deg=latitude))
+    patch = MapPatch(frame)
+    world = np.random.default_rng(0).uniform([-2000, -2000, -200], [2000, 2000, 1200], (2000, 3))
+    assert np.abs(patch.relative(world) + patch.origin_m - frame.map_from_world(world)).max() < 1e-6
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.floats(-1.2, 1.2), min_size=6, max_size=6), st.lists(st.floats(-5, 5), min_size=6, max_size=6))
+def test_beams_equal_the_matrices_of_the_frames(angles: list[float], numbers: list[float]) -> None:
+    """Rationale: rotations are arranged for speed here. Expected: what Motion.world_from_body's matrices give.
+    Tolerance: rounding, 1e-12."""
+    motion = Motion(
+        gps_time_s=np.array([0.0, 1.0]),
+        position_world_m=np.array([numbers[:3], numbers[3:]]),
+        velocity_world_m_s=np.zeros((2, 3)),
+        rpy_rad=np.array([angles[:3], angles[3:]]),
+    )
+    mounting = SensorMounting(
+        rotation=np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0], lever_arm_m=np.array(numbers[1:4])
+    )
+    time = np.linspace(0.0, 1.0, 7)
+    beam = np.random.default_rng(2).normal(size=(7, 3))
+    origin, direction, _ = beams_world(motion, time, mounting, beam)
+    world_from_body = motion.world_from_body(time)
+    assert np.allclose(direction, np.einsum("nij,jk,nk->ni", world_from_body, mounting.rotation, beam), atol=1e-12)
+    assert np.allclose(origin, motion.position(time) + world_from_body @ mounting.lever_arm_m, atol=1e-12)
+    assert np.allclose(rotate(mounting.rotation, beam), beam @ mounting.rotation.T, atol=1e-12)
+
+
+def test_extinction_has_kim_s_values() -> None:
+    """Rationale: wavelength in µm, result in 1/km; units mixed up give transmissions of 0. Expected: by definition 3.912 / V at
+    0.55 µm; at 0.5 km fog no dependence on wavelength; 10 log10(e) 3.912 / 23 (1.55 / 0.55)^-1.3 = 0.19 dB/km at 23 km, the
+    figure of Kim's table for 1550 nm in haze-free air (0.2 dB/km). Tolerance: its last digit."""
+    assert extinction_per_km(0.55, 23.0) == pytest.approx(3.912 / 23.0)
+    assert extinction_per_km(1.55, 0.5) == pytest.approx(extinction_per_km(0.785, 0.5))
+    assert 10.0 * np.log10(np.e) * extinction_per_km(1.55, 23.0) == pytest.approx(0.2, abs=0.01)
+
+
+def test_unambiguous_range_of_550_khz() -> None:
+    """Rationale: the VUX-1UAV's figure. Expected: 272 m. Tolerance: its last digit."""
+    assert unambiguous_range_m(1.0 / 550_000.0) == pytest.approx(272.5, abs=0.1)
+
+
+@pytest.mark.parametrize("subrays", [2, 3])
+def test_patterns_that_cannot_be_round_are_refused(subrays: int) -> None:
+    """Rationale: two or three points have a direction. Expected: ConfigError naming the setting."""
+    with pytest.raises(ConfigError, match=r"lidar\.subrays"):
+        gaussian_footprint(subrays, 0.001)
+
+
+def test_import_compiles_and_renders_nothing() -> None:
+    """Rationale: start-up time. Expected: importing the module loads neither Mitsuba nor a compiled specialisation."""
+    code = (
+        "import sys, simulator.lidar, simulator.device as d, simulator.georeference as g\n"
+        "assert 'mitsuba' not in sys.modules and 'drjit' not in sys.modules\n"
+        "assert not (d._detect.signatures or d._digitise.signatures or g._cubic.signatures)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
