@@ -106,7 +106,7 @@ def find_panel_shift(local_m: np.ndarray, amplitude: np.ndarray, size_m: float) 
         return None
     flat = cell[inside, 0] * width + cell[inside, 1]
     features = [local_m[inside, 2], np.log(np.maximum(amplitude[inside], 1e-3))]
-    floors = [0.01, 0.05]
+    floors, signs = (0.01, 0.05), (True, False)  # a panel stands above the ground; it may be darker or brighter
     centres = np.arange(-reach, reach + 1) + edge
 
     def boxes(weights: np.ndarray | None, size: int) -> np.ndarray:
@@ -122,14 +122,17 @@ def find_panel_shift(local_m: np.ndarray, amplitude: np.ndarray, size_m: float) 
     count_ring = count_all - count_in
     score = np.zeros_like(count_in)
     with np.errstate(invalid="ignore", divide="ignore"):
-        for values, floor in zip(features, floors, strict=True):
+        for values, floor, above in zip(features, floors, signs, strict=True):
             values = values - values.mean()
             sum_in = boxes(values, half)
             mean_in = sum_in / count_in
             mean_ring = (boxes(values, ring) - sum_in) / count_ring
             variance = np.maximum(boxes(values**2, half) / count_in - mean_in**2, 0.0)
-            score += np.abs(mean_in - mean_ring) / np.sqrt(variance + floor**2)
-    score[(count_in < _MIN_RETURNS) | (count_ring < _MIN_RETURNS)] = -np.inf
+            difference = mean_in - mean_ring
+            score += (np.maximum(difference, 0.0) if above else np.abs(difference)) / np.sqrt(variance + floor**2)
+    # A ring that reaches out of the data, or of the strip, compares with half of what surrounds the square.
+    whole_ring = 0.6 * count_in * ((ring / half) ** 2 - 1.0)
+    score[(count_in < _MIN_RETURNS) | (count_ring < np.maximum(whole_ring, _MIN_RETURNS))] = -np.inf
     score[~np.isfinite(score)] = -np.inf
     best = np.unravel_index(int(np.argmax(score)), score.shape)
     if not score[best] > 3.0:
