@@ -71,7 +71,15 @@ def readable_os_errors(target: Path) -> Iterator[None]:
                 where=str(target),
                 remedy="free some space or choose another place",
             ) from None
-        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.ENAMETOOLONG, errno.EISDIR):
+        if error.errno in (
+            errno.EACCES,
+            errno.EPERM,
+            errno.EEXIST,
+            errno.EROFS,
+            errno.ENOTDIR,
+            errno.ENAMETOOLONG,
+            errno.EISDIR,
+        ):
             raise CampaignError("cannot be written", where=str(target), got=error.strerror) from None
         raise
 

@@ -206,6 +206,8 @@ def _header(spec: LasSpec, point_format: int) -> laspy.LasHeader:
     wkt = crs_wkt(spec.projection_epsg, spec.height_epsg, "WKT1_GDAL")
     header.vlrs.append(laspy.VLR("LASF_Projection", 2112, "OGC WKT", wkt.encode() + b"\0"))
     header.add_extra_dims([laspy.ExtraBytesParams(name, kind, unit) for name, kind, unit, _ in EXTRA_BYTES])
+    for struct_ in header.vlrs.get("ExtraBytesVlr")[0].extra_bytes_structs:
+        struct_.options &= ~(struct_.MIN_BIT_MASK | struct_.MAX_BIT_MASK)  # laspy's ranges depend on the chunks written
     if point_format == 9:
         header.global_encoding.waveform_data_packets_external = True
         descriptor = struct.pack("<BBIIdd", 16, 0, spec.sample_count, spec.sampling_ps, 1.0, 0.0)

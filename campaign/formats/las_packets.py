@@ -4,9 +4,11 @@ A packet's number is its place in the file. Files with one packet length and no 
 every packet that a record names, in the order of its byte.
 """
 
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import lazrs  # type: ignore[import-untyped]
 import numpy as np
@@ -15,6 +17,9 @@ from campaign.errors import CampaignError
 from campaign.formats.las_layout import EVLR_HEADER_BYTES, LasHeader, WaveDescriptor
 
 _SCAN_POINTS = 1_000_000
+# LASzip items of the layered compressor: type -> layers; one of extra bytes (14) has a layer for each byte.
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+_BYTE14 = 14
 
 
 def records(header: LasHeader, points: int, *, only_first: bool = False) -> Iterator[tuple[int, np.ndarray]]:
@@ -22,8 +27,9 @@ def records(header: LasHeader, points: int, *, only_first: bool = False) -> Iter
     end = min(1, header.point_count) if only_first else header.point_count
     try:
         with header.path.open("rb") as file:
-            file.seek(header.point_offset)
-            unzip = lazrs.LasZipDecompressor(file, header.laszip) if header.compressed and end else None
+            unzip = _decompressor(header, file) if header.compressed and end else None
+            if unzip is None:
+                file.seek(header.point_offset)
             for first in range(0, end, points):
                 count = min(points, end - first)
                 if unzip is None:
@@ -44,6 +50,33 @@ def records(header: LasHeader, points: int, *, only_first: bool = False) -> Iter
         if type(error).__module__.startswith(("lazrs", "pyo3")) or type(error).__name__ == "PanicException":
             raise CampaignError("compressed points cannot be read", where=str(header.path), got=error) from None
         raise
+
+
+def _decompressor(header: LasHeader, file: BinaryIO) -> Any:
+    """lazrs at the first point, once every chunk is known to lie in the file.
+
+    A chunk of the layered formats (PDRF 6-10) states the lengths of its layers, and lazrs takes memory for them unseen.
+    """
+    laszip, length = header.laszip or b"", header.record.itemsize
+    size = header.path.stat().st_size
+    layers = 0
+    for i in range(struct.unpack_from("<H", laszip, 32)[0]):
+        kind, item_bytes = struct.unpack_from("<HH", laszip, 34 + 6 * i)
+        layers += item_bytes if kind == _BYTE14 else _LAYERS.get(kind, 0)
+    file.seek(header.point_offset)
+    at = header.point_offset + 8
+    for _, chunk_bytes in lazrs.read_chunk_table(file, lazrs.LazVlr(laszip)):
+        needed = length
+        if layers and at + length + 4 + 4 * layers <= size:
+            file.seek(at + length)
+            needed += 4 + 4 * layers + sum(struct.unpack(f"<I{layers}I", file.read(4 + 4 * layers))[1:])
+        if needed > chunk_bytes or at + chunk_bytes > size:
+            raise CampaignError(
+                "compressed points cannot be read", where=str(header.path), got=f"a damaged chunk at byte {at}"
+            )
+        at += chunk_bytes
+    file.seek(header.point_offset)
+    return lazrs.LasZipDecompressor(file, laszip)
 
 
 @dataclass(frozen=True, kw_only=True)

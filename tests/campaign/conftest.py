@@ -1,6 +1,8 @@
 """A campaign folder written by hand: one sortie, one strip, two images. Numbers are arbitrary but consistent."""
 
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -27,6 +29,12 @@ T0 = 465_000_000.25  # adjusted standard GPS time: 2026-06-09 08:26:22.25 Beijin
 WEEK = int((T0 + 1e9) // 604_800)
 WIDTH, HEIGHT = 96, 64
 LENS = Lens(fx_px=100.0, fy_px=100.0, cx_px=48.0, cy_px=32.0, k1=-0.05)
+
+
+@pytest.fixture(scope="session")
+def hand() -> ModuleType:
+    """This module: its functions make the parts of a campaign."""
+    return sys.modules[__name__]
 
 
 def make_trajectory(n: int = 400, seed: int = 1) -> Trajectory:
