@@ -53,7 +53,7 @@ def test_beams_equal_the_matrices_of_the_frames(angles: list[float], numbers: li
 def test_extinction_has_kim_s_values() -> None:
     """Rationale: wavelength in µm, result in 1/km; units mixed up give transmissions of 0. Expected: by definition 3.912 / V at
     0.55 µm; at 0.5 km fog no dependence on wavelength; 10 log10(e) 3.912 / 23 (1.55 / 0.55)^-1.3 = 0.19 dB/km at 23 km, the
-    figure of Kim's table for 1550 nm in haze-free air (0.2 dB/km). Tolerance: its last digit."""
+    figure of Kim's table for 1550 nm in clear air (0.2 dB/km). Tolerance: its last digit."""
     assert extinction_per_km(0.55, 23.0) == pytest.approx(3.912 / 23.0)
     assert extinction_per_km(1.55, 0.5) == pytest.approx(extinction_per_km(0.785, 0.5))
     assert 10.0 * np.log10(np.e) * extinction_per_km(1.55, 23.0) == pytest.approx(0.2, abs=0.01)

@@ -58,7 +58,7 @@ def test_channels_fire_in_turn_and_tilt_along_track() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(
-    prr=st.floats(1e4, 2e6),
+    prr=st.floats(3e4, 2e6),
     rate=st.floats(5.0, 400.0),
     edges=st.tuples(st.floats(-170.0, -5.0), st.floats(5.0, 170.0)),
     duration=st.floats(0.0, 0.3),
