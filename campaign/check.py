@@ -113,6 +113,7 @@ class _Check:
         except TestrangeError as error:
             for line in error.problems:
                 message = line.removeprefix(str(path)).lstrip(": ").replace(f"{self.folder.root}/", "")
+                message = message.removeprefix(f"{self.folder.root}: ")
                 self.add("error", path, message)
 
     def read(self, path: Path, reader: Callable[[Path], T]) -> T | None:
