@@ -1,0 +1,365 @@
+"""The centre of a four-sector mark in an image, to hundredths of a pixel (9.3.2 e). Never a centroid.
+
+The appearance of the mark is known up to its place, the two edges' directions, blur, the brightness of white and black in sun
+and shade, and some millimetres in the place of the shadow. Pixels at the edge of the funnel or of the disc are left out; the
+others decide by least squares.
+What hides and shades the mark comes from `target_view`; vertices in point clouds live in `frustums`.
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import scipy.signal
+
+_FINE = 6  # samples a pixel and axis in the maps
+_BLUR_PX, _BLUR_STEP_PX = (
+    0.5,
+    0.3,
+)  # standard deviation before the pixel's own box; its spread is fitted between +- the step
+_SHADE_STD_M = 0.004  # of the shadow's place: sheet-metal work, level of the plate
+_EDGE_STD = np.radians(2.0)  # direction of each edge against the predicted one
+_LEAST_CORRELATION = 0.6
+_LEAST_CONTRAST = 0.35  # of white to black over white
+_LEAST_PIXELS = 35
+_FLOOR_PX = 0.01  # standard deviation below which no centre is stated
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkView:
+    """One mark as one image should show it."""
+
+    predicted_px: np.ndarray  # (2,)
+    px_per_m: np.ndarray  # (2, 2) pixel step by target x and y
+    radius_m: float
+    hidden_m: np.ndarray  # (q, 4, 2) polygons on the plate that the funnel hides
+    shaded_m: np.ndarray  # (q, 4, 2) polygons on the plate out of the sun
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkFit:
+    """Centre of a mark."""
+
+    uv_px: np.ndarray  # (2,)
+    covariance_px2: np.ndarray  # (2, 2)
+    radius_px: float  # of the mark, mean over directions
+    correlation: float  # of the search
+    contrast: float  # white minus black over white, in the sun
+    rms: float  # residuals over white minus black
+    pixels: int
+
+
+def _fill(polygons_m: np.ndarray, view: MarkView, size: int, half: float) -> np.ndarray:
+    """Mask (size, size) of the union of polygons given on the plate."""
+    mask = np.zeros((size, size), dtype=np.uint8)
+    if len(polygons_m):
+        fine = (polygons_m @ view.px_per_m.T + half) * _FINE - 0.5
+        limit = 30_000.0  # far corners: the fixed-point coordinates must not overflow
+        for polygon in np.clip(fine, -limit, limit):
+            cv2.fillConvexPoly(mask, np.round(polygon * 16.0).astype(np.int32), 1, shift=4)
+    return mask
+
+
+def _grown(mask: np.ndarray, by_px: float) -> np.ndarray:
+    """Mask grown by a disc."""
+    r = max(round(by_px * _FINE), 1)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * r + 1, 2 * r + 1))
+    return np.asarray(cv2.dilate(mask, disc))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Maps:
+    """Finely sampled shares of a pixel, blurred: 0-3 lit white, lit black, shaded white, shaded black, 4 not to be used."""
+
+    base: np.ndarray  # (5, s, s)
+    by_place: np.ndarray  # (2, 4, s, s) slope by column and row [1/px]
+    by_blur: np.ndarray  # (4, s, s) half the change from less to more blur
+    by_shade: np.ndarray  # (0 or 2, 4, s, s) change when the shadow moves by its standard deviation along target x, y
+    half_px: float
+
+
+def _maps(view: MarkView) -> _Maps:
+    reach = view.radius_m * float(np.linalg.norm(view.px_per_m, ord=2))
+    half = float(np.ceil(reach + 3.0))
+    size = int(2 * half) * _FINE
+    axis = (np.arange(size) + 0.5) / _FINE - half
+    u, v = np.meshgrid(axis, axis)
+    inverse = np.linalg.inv(view.px_per_m)
+    x, y = inverse[0, 0] * u + inverse[0, 1] * v, inverse[1, 0] * u + inverse[1, 1] * v
+    scale = float(np.sqrt(abs(np.linalg.det(view.px_per_m))))
+    hidden = _grown(_fill(view.hidden_m, view, size, half), 0.2 + 0.003 * scale).astype(bool)
+    out = hidden | (np.hypot(x, y) > view.radius_m)
+    white = x * y > 0.0
+
+    def shares(shade: np.ndarray) -> np.ndarray:
+        lit = shade == 0
+        return np.stack([white & lit, ~white & lit, white & ~lit, ~white & ~lit, out]).astype(np.float32)
+
+    shade = _fill(view.shaded_m, view, size, half)
+    raw = shares(shade)
+    base = _blurred(raw, _BLUR_PX)
+    by_blur = _blurred(raw[:4], _BLUR_PX + _BLUR_STEP_PX) - _blurred(raw[:4], _BLUR_PX - _BLUR_STEP_PX)
+    rows, columns = np.gradient(base[:4], axis=(1, 2))
+    by_shade = np.zeros((0, 4, size, size))
+    if np.any(shade[~out]):
+        moved = [_fill(view.shaded_m + _SHADE_STD_M * d, view, size, half) for d in np.eye(2)]
+        by_shade = np.stack([_blurred(shares(m)[:4], _BLUR_PX) - base[:4] for m in moved])
+    return _Maps(
+        base=base,
+        by_place=np.stack([columns, rows]) * _FINE,
+        by_blur=0.5 * by_blur,
+        by_shade=by_shade,
+        half_px=half,
+    )
+
+
+def _blurred(maps: np.ndarray, blur_px: float) -> np.ndarray:
+    """As pixels see them: Gaussian of the optics, then the pixel's square."""
+    out = [
+        cv2.boxFilter(
+            cv2.GaussianBlur(m, (0, 0), blur_px * _FINE, borderType=cv2.BORDER_REPLICATE),
+            -1,
+            (_FINE + 1, _FINE + 1),
+            borderType=cv2.BORDER_REPLICATE,
+        )
+        for m in maps
+    ]
+    return np.stack(out)
+
+
+def _search(window: np.ndarray, maps: _Maps) -> list[tuple[np.ndarray, float]]:
+    """Best places of the predicted appearance: (column, row) in the window's pixel coordinates, correlation; best first."""
+    half = maps.half_px
+    pick = np.arange(int(2 * half)) * _FINE + _FINE // 2
+    at = maps.base[:, pick[:, None], pick]
+    usable = (at[4] < 0.3).astype(np.float64)
+    if usable.sum() < _LEAST_PIXELS:
+        return []
+    template = (at[0] + 0.08 * at[1] + 0.3 * at[2] + 0.03 * at[3]) * usable
+    template -= usable * template.sum() / usable.sum()
+    level = window - window.mean()
+
+    def correlate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.asarray(scipy.signal.fftconvolve(a, b[::-1, ::-1], mode="valid"))
+
+    mean = correlate(level, usable) / usable.sum()
+    spread = correlate(level**2, usable) - usable.sum() * mean**2
+    floor = 1e-6 * float(np.var(level)) * usable.sum() + 1e-12
+    score = np.abs(correlate(level, template)) / np.sqrt(np.maximum(spread, floor) * np.sum(template**2))
+    rows, columns = np.ogrid[: score.shape[0], : score.shape[1]]
+    found: list[tuple[np.ndarray, float]] = []
+    for _ in range(3):
+        row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+        best = float(score[row, column])
+        if best < max(_LEAST_CORRELATION, 0.85 * found[0][1] if found else 0.0):
+            break
+        found.append((np.array([column + half, row + half], dtype=np.float64), best))
+        score = np.where(np.hypot(rows - row, columns - column) > 0.6 * half, score, 0.0)
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Samples:
+    """Window pixels around a centre."""
+
+    uv: np.ndarray  # (n, 2) pixel centres
+    value: np.ndarray  # (n,)
+
+
+def _look_up(maps: np.ndarray, fine: np.ndarray) -> np.ndarray:
+    """Bilinear samples (k, n) of maps (k, s, s) at fine coordinates (n, 2): column, row."""
+    size = maps.shape[-1]
+    at = np.clip(fine, 0.0, size - 1.001)
+    i, f = np.floor(at).astype(np.int64), at - np.floor(at)
+    c, r, fc, fr = i[:, 0], i[:, 1], f[:, 0], f[:, 1]
+    top = maps[:, r, c] * (1 - fc) + maps[:, r, c + 1] * fc
+    low = maps[:, r + 1, c] * (1 - fc) + maps[:, r + 1, c + 1] * fc
+    return np.asarray(top * (1 - fr) + low * fr)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _State:
+    centre: np.ndarray
+    edges: np.ndarray
+    covariance: np.ndarray
+    coefficients: np.ndarray  # of the four maps
+    rms: float
+    pixels: int
+
+
+def _refine(samples: _Samples, maps: _Maps, view: MarkView, start: np.ndarray, iterations: int = 10) -> _State | None:
+    """Gauss-Newton on centre, edge directions, blur and shadow; brightness and its slopes across the mark are linear."""
+    state = _State(
+        centre=start, edges=np.zeros(2), covariance=np.eye(2), coefficients=np.zeros(4), rms=np.inf, pixels=0
+    )
+    inverse = np.linalg.inv(view.px_per_m)
+    radius = view.radius_m * float(np.sqrt(abs(np.linalg.det(view.px_per_m))))
+    for _ in range(iterations):
+        plate = (samples.uv - state.centre) @ inverse.T
+        shear = np.array([[1.0, -state.edges[0]], [state.edges[1], 1.0]])
+        fine = (plate @ shear.T @ view.px_per_m.T + maps.half_px) * _FINE - 0.5
+        values = _look_up(maps.base, fine)
+        usable = values[4] < 0.02
+        if usable.sum() < _LEAST_PIXELS:
+            return None
+        y, m, at = samples.value[usable], values[:4, usable], fine[usable]
+        lit = m[0] + m[1]
+        regions = [k for k in range(4) if m[k].sum() > 2.0]
+        coefficients = state.coefficients.copy()
+        if not coefficients.any():
+            coefficients[regions] = np.linalg.lstsq(m[regions].T, y, rcond=None)[0]
+        model = coefficients @ m
+        steep = np.stack([coefficients @ _look_up(s, at) for s in maps.by_place], axis=1)
+        by_plate = steep @ view.px_per_m
+        nonlinear = [
+            *(-(steep @ (view.px_per_m @ shear @ inverse))).T,
+            -by_plate[:, 0] * plate[usable, 1],
+            by_plate[:, 1] * plate[usable, 0],
+            coefficients @ _look_up(maps.by_blur, at),
+            *(coefficients @ _look_up(s, at) for s in maps.by_shade),
+        ]
+        offset = (samples.uv[usable] - state.centre) / radius
+        slopes = []
+        for part in (lit, 1.0 - lit):
+            if part.sum() >= 30.0:
+                slopes += [model * part * offset[:, 0], model * part * offset[:, 1]]
+            if part.sum() >= 120.0:
+                slopes += [model * part * offset[:, 0] * offset[:, 1], model * part * np.sum(offset**2, axis=1)]
+        design = np.column_stack([*nonlinear, *(m[k] for k in regions), *slopes])
+        first, last = len(nonlinear), len(nonlinear) + len(regions)
+        prior_std = np.full(design.shape[1], np.inf)
+        prior_std[2:4] = _EDGE_STD
+        prior_std[4:first] = 1.0
+        prior_value = np.zeros(design.shape[1])  # of the increments: the edges' prior stands at zero
+        prior_value[2:4] = -state.edges
+        weight = np.ones(len(y))
+        scale = 1.0
+        solution: np.ndarray = np.zeros(design.shape[1])
+        normal_inverse: np.ndarray = np.eye(design.shape[1])
+        for _robust in range(4):
+            prior = (scale / prior_std) ** 2
+            normal = design.T @ (design * weight[:, None]) + np.diag(prior)
+            right = design.T @ (weight * y) + prior * prior_value
+            try:
+                normal_inverse = np.linalg.inv(normal)
+            except np.linalg.LinAlgError:
+                return None
+            solution = normal_inverse @ right
+            residual = y - design @ solution
+            scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-9)
+            weight = 1.0 / np.maximum(np.abs(residual) / (2.0 * scale), 1.0) ** 2
+        step = solution[:2]
+        if not np.all(np.isfinite(solution)) or np.abs(step).max() > 3.0:
+            return None
+        coefficients = np.zeros(4)
+        coefficients[regions] = solution[first:last]
+        freedom = max(float(weight.sum()) - design.shape[1], 1.0)
+        variance = float(np.sum(weight * residual**2)) / freedom
+        state = _State(
+            centre=state.centre + step,
+            edges=np.clip(state.edges + solution[2:4], -0.15, 0.15),
+            covariance=normal_inverse[:2, :2] * variance,
+            coefficients=coefficients,
+            rms=float(np.sqrt(variance)),
+            pixels=int(usable.sum()),
+        )
+        if np.abs(step).max() < 1e-4:
+            break
+    return state
+
+
+def find_mark(
+    grey: np.ndarray, view: MarkView, search_radius_px: float, *, clipped_at: float = np.inf
+) -> MarkFit | str:
+    """Centre of one mark.
+
+    Parameters
+    ----------
+    grey : (h, w) np.ndarray
+        Whole image, linear in radiance: one band or the mean of several, black level removed or not.
+    view : MarkView
+        Prediction.
+    search_radius_px : float
+        How far the mark may be from its predicted place. [px]
+    clipped_at : float
+        Values from here on are saturated and not used.
+
+    Returns
+    -------
+    MarkFit, or a line that says why there is none. The first pixel's centre is (0.5, 0.5).
+
+    References
+    ----------
+    GB/T 41450-2022, 9.3.2 e.
+    """
+    radius_px = view.radius_m * float(np.sqrt(abs(np.linalg.det(view.px_per_m))))
+    if radius_px < 4.0:
+        return f"mark of {radius_px:.1f} px radius, 4 px are needed"
+    maps = _maps(view)
+    reach = int(np.ceil(search_radius_px + maps.half_px + 2.0))
+    middle = np.floor(view.predicted_px).astype(int)
+    low = np.maximum(middle - reach, 0)
+    high = np.minimum(middle + reach + 1, [grey.shape[1], grey.shape[0]])
+    if np.any(high - low < 2 * maps.half_px + 1):
+        return "outside the image"
+    window = np.asarray(grey[low[1] : high[1], low[0] : high[0]], dtype=np.float64)
+    candidates = _search(window, maps)
+    if not candidates:
+        return f"no four-sector pattern within {search_radius_px:.0f} px, or too little of it in view"
+    fits: list[MarkFit] = []
+    reason = ""
+    for place, correlation in candidates:
+        fit = _fit_at(window, place, correlation, maps, view, radius_px, clipped_at)
+        if isinstance(fit, MarkFit):
+            fits.append(fit)
+        else:
+            reason = reason or fit
+    if not fits:
+        return reason
+    fits.sort(key=lambda f: f.rms)
+    if len(fits) > 1 and fits[1].rms < 1.5 * fits[0].rms:
+        return "two patterns alike"
+    return replace(fits[0], uv_px=fits[0].uv_px + low)
+
+
+def _fit_at(
+    window: np.ndarray,
+    place: np.ndarray,
+    correlation: float,
+    maps: _Maps,
+    view: MarkView,
+    radius_px: float,
+    clipped_at: float,
+) -> MarkFit | str:
+    """Fit about one place of the window, and the checks that make it a mark."""
+    n = round(maps.half_px) + 1
+    first = np.maximum(np.floor(place).astype(int) - n, 0)
+    last = np.minimum(np.floor(place).astype(int) + n + 1, [window.shape[1], window.shape[0]])
+    v, u = np.mgrid[first[1] : last[1], first[0] : last[0]]
+    value = window[first[1] : last[1], first[0] : last[0]].ravel()
+    good = value < clipped_at
+    samples = _Samples(uv=np.stack([u.ravel(), v.ravel()], axis=-1)[good] + 0.5, value=value[good])
+    best = _refine(samples, maps, view, place)
+    if best is None:
+        return "too few clear pixels around the centre, or the fit does not converge"
+    pair = best.coefficients[:2] if np.all(best.coefficients[:2]) else best.coefficients[2:]
+    difference = abs(float(pair[0] - pair[1]))
+    contrast = difference / max(float(np.max(np.abs(pair))), 1e-12)
+    std = float(np.sqrt(np.max(np.linalg.eigvalsh(best.covariance))))
+    if contrast < _LEAST_CONTRAST:
+        return f"contrast of {contrast:.2f} between the sectors"
+    if best.rms > 0.12 * difference:
+        return f"the pattern fits badly (residuals {best.rms / difference:.2f} of the contrast)"
+    if std > 0.35:
+        return f"centre not determined (standard deviation {std:.2f} px)"
+    if np.linalg.norm(best.centre - place) > 2.5:
+        return "the fit left the pattern that was found"
+    return MarkFit(
+        uv_px=best.centre,
+        covariance_px2=best.covariance + _FLOOR_PX**2 * np.eye(2),
+        radius_px=radius_px,
+        correlation=correlation,
+        contrast=contrast,
+        rms=best.rms / difference,
+        pixels=best.pixels,
+    )
