@@ -20,6 +20,7 @@ app = App(
     help="A virtual test range for UAV LiDAR and cameras after GB/T 41450-2022.",
     version_flags=["--version"],
     result_action="return_value",
+    suppress_keyboard_interrupt=False,  # `call` says it in the same form as every other end
 )
 
 Settings = Annotated[

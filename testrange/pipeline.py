@@ -83,6 +83,7 @@ def run(config: Config, out: Path, progress: ProgressCallback, *, replace: bool 
 
     start = time.monotonic()
     with complete_folder(out, replace) as work:
+        (work / "campaign").mkdir()
         simulate_campaign(config, work / "campaign", progress)
         evaluation = evaluate_campaign(work / "campaign", progress)
         progress("report", 0, 1)

@@ -3,6 +3,7 @@
 import sys
 from typing import Any, TextIO
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -21,6 +22,9 @@ _COLOUR: dict[Grade, str] = {
 }
 
 
+_SHORT = {"reflectance_rmse_relative": "LiDAR/camera reflectance RMSE"}  # where the full name is wider than its column
+
+
 def console(stream: TextIO | None = None) -> Console:
     """Stdout as wide as the terminal, 100 columns at most, also in a file."""
     out = Console(file=stream or sys.stdout, highlight=False, soft_wrap=False)
@@ -29,29 +33,36 @@ def console(stream: TextIO | None = None) -> Console:
 
 
 def _figure(value: float, unit: str) -> str:
-    return f"{value:.3f} {unit}" if unit == "pixel" else f"{value:.2f} {unit}"
+    return f"{value:.3f} px" if unit == "pixel" else f"{value:.2f} %"
 
 
 def print_indicators(evaluation: Evaluation, out: Console) -> None:
-    """The eight indicators and the grades of their groups."""
+    """The eight indicators, why some were not measured, and the grades of their groups."""
     table = Table(
-        title=f"GB/T 41450-2022 · {evaluation.campaign}", title_justify="left", width=out.width, pad_edge=False
+        title=f"GB/T 41450-2022 · {evaluation.campaign}", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
     )
-    table.add_column("indicator", ratio=3)
-    table.add_column("指标", ratio=2)
-    table.add_column("value", ratio=2, justify="right")
-    table.add_column("95 %", ratio=2, justify="right")
-    table.add_column("n", justify="right")
-    table.add_column("grade", ratio=3)
+    table.add_column("indicator", no_wrap=True)
+    table.add_column("指标", no_wrap=True)
+    for name in ("value", "95 %", "n"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("grade", no_wrap=True)
     for i, row in INDICATORS.items():
         found, mark = evaluation.indicator(i), evaluation.grade(i)
         grade = Text(f"{mark.replace('_', ' ')} {GRADE_ZH[mark]}", style=_COLOUR[mark])
+        name = _SHORT.get(i, row.name_en)
         if found.value is None:
-            table.add_row(row.name_en, row.name_zh, "–", "", "", Text(f"{grade.plain}: {found.reason}", style="dim"))
+            table.add_row(name, row.name_zh, "–", "", "", grade)
             continue
         interval = "" if found.low_95 is None or found.high_95 is None else f"{found.low_95:.3g} – {found.high_95:.3g}"
-        table.add_row(row.name_en, row.name_zh, _figure(found.value, row.unit), interval, str(found.sample_size), grade)
+        table.add_row(name, row.name_zh, _figure(found.value, row.unit), interval, str(found.sample_size), grade)
     out.print(table)
+    reasons: dict[str, list[str]] = {}
+    for i in INDICATORS:
+        reason = evaluation.indicator(i).reason
+        if reason:
+            reasons.setdefault(reason, []).append(INDICATORS[i].symbol)
+    for reason, symbols in reasons.items():
+        out.print(Text(f"not measured: {', '.join(symbols)}: {reason}", style="dim"))
     groups = group_grades(evaluation.grades())
     graded = [f"{g.name_en}: {groups[g.id]} {GRADE_ZH[groups[g.id]]}" for g in GROUPS if groups[g.id] != "not_measured"]
     if graded:
@@ -80,7 +91,7 @@ def print_score(score: Score, out: Console) -> None:
     if not score.items:
         out.print("score: no mounting was estimated")
         return
-    table = Table(title="score against truth/", title_justify="left", pad_edge=False)
+    table = Table(title="score against truth/", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in ("quantity", "truth", "estimate", "error", "std", "z"):
         table.add_column(name, justify="left" if name == "quantity" else "right")
     for item in score.items:
