@@ -110,7 +110,9 @@ class Tracer:
         ranges = dr.alloc_local(mi.Float, subrays, value=mi.Float(0))
         peaks = dr.alloc_local(mi.Float, subrays, value=mi.Float(0))
 
-        def trace(s: Any, ranges: Any, peaks: Any, near: Any, far: Any, axis: Any, face: Any, hits: Any) -> tuple:
+        def trace(
+            s: Any, ranges: Any, peaks: Any, near: Any, far: Any, axis: Any, face: Any, hits: Any
+        ) -> tuple[Any, ...]:
             d = direction(s)
             hit = self._scene.mi_scene.ray_intersect_preliminary(mi.Ray3f(origin, d), coherent=False)
             ok = hit.is_valid()
@@ -152,7 +154,7 @@ class Tracer:
         # ---- waveform: each echo is a Gaussian, cut at six standard deviations (1.5e-8 of its peak) --------------------
         wave = dr.alloc_local(mi.Float, samples, value=mi.Float(0))
 
-        def add(s: Any, wave: Any) -> tuple:
+        def add(s: Any, wave: Any) -> tuple[Any, ...]:
             x = (ranges.read(s) + shift) * samples_per_m - start
             peak = peaks.read(s)
             b0 = dr.floor(x) - reach + 1
@@ -168,7 +170,7 @@ class Tracer:
 
         out = dr.empty(mi.Float, n * samples)
 
-        def store(k: Any, wave: Any) -> tuple:
+        def store(k: Any, wave: Any) -> tuple[Any, ...]:
             dr.scatter(out, wave.read(k), lane * samples + k)
             return k + 1, wave
 
@@ -198,7 +200,7 @@ class Tracer:
             Beams(origin_m=beams.origin_m, direction=beams.direction, shift_m=range_m)
         )
 
-        def trace(s: Any, best: Any, range_: Any, face: Any) -> tuple:
+        def trace(s: Any, best: Any, range_: Any, face: Any) -> tuple[Any, ...]:
             ray = mi.Ray3f(origin, direction(s))
             hit = self._scene.mi_scene.ray_intersect_preliminary(ray, coherent=False)
             miss = dr.abs(hit.t - wanted)
