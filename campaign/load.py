@@ -10,12 +10,11 @@ import importlib.resources
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
 
 from campaign.config import Config
 from campaign.errors import ConfigError
@@ -224,7 +223,7 @@ def _dotted(location: Sequence[str | int]) -> str:
     return text
 
 
-def _explain(error: ErrorDetails) -> str:
+def _explain(error: Mapping[str, Any]) -> str:
     """One pydantic error as: key, what, got, expected."""
     location = error["loc"]
     key = _dotted(location)

@@ -19,8 +19,8 @@ from campaign.config import Lens, Model, Vector3
 from campaign.errors import CampaignError
 from campaign.formats.text import (
     Parse,
-    file_name,
     identifier,
+    inner_path,
     number,
     one_of,
     read_model,
@@ -82,7 +82,7 @@ class TrueMark:
     """True pixel of one mark's centre in one image; the image's top left corner is (0, 0)."""
 
     target: str
-    image: str
+    image: str  # path inside the campaign folder
     u_px: float
     v_px: float
     visible: bool
@@ -90,7 +90,7 @@ class TrueMark:
 
 MARK_COLUMNS: dict[str, Parse] = {
     "target": identifier,
-    "image": file_name,
+    "image": inner_path,
     "u_px": number,
     "v_px": number,
     "visible": one_of("0", "1"),
@@ -137,7 +137,7 @@ def write_true_trajectories(path: Path, sorties: dict[int, Trajectory]) -> None:
 
 
 def read_true_trajectories(path: Path) -> dict[int, Trajectory]:
-    """Raises CampaignError: not readable, a field missing."""
+    """Raises CampaignError: not readable, a field missing. Standard deviations, which the truth has none of, may be absent: NaN."""
     arrays = _read_npz(path)
     sorties: dict[int, dict[str, np.ndarray]] = {}
     for name, array in arrays.items():
@@ -146,9 +146,15 @@ def read_true_trajectories(path: Path) -> dict[int, Trajectory]:
             raise CampaignError("an array has no sortie in its name", where=str(path), got=name, expected="sNN_field")
         sorties.setdefault(int(prefix[1:]), {})[field] = array
     try:
-        return {number: Trajectory(**columns) for number, columns in sorties.items()}
+        return {number: Trajectory(**(_no_std(columns) | columns)) for number, columns in sorties.items()}
     except TypeError as error:
         raise CampaignError("is no true trajectory", where=str(path), got=error) from None
+
+
+def _no_std(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return dict.fromkeys(
+        ("position_std_m", "attitude_std_rad"), np.full((len(next(iter(columns.values()))), 3), np.nan)
+    )
 
 
 def write_marks(path: Path, marks: list[TrueMark]) -> None:

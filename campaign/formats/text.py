@@ -69,6 +69,13 @@ def file_name(text: str) -> str:
     return text
 
 
+def inner_path(text: str) -> str:
+    """A path inside the campaign folder, with /: plain names only, so it cannot leave it."""
+    for part in text.split("/"):
+        file_name(part)
+    return text
+
+
 def one_of(*words: str) -> Parse:
     """A word of a closed list."""
 

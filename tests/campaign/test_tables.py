@@ -288,7 +288,7 @@ def test_truth_round_trip_and_its_own_checksums(tmp_path: Path, hand: ModuleType
         target=rng.integers(-1, 4, 50).astype(np.int32),
         face=rng.integers(-1, 9, 50).astype(np.int8),
     )
-    marks = [TrueMark(target="F01", image="a.tif", u_px=NINTH, v_px=2.0, visible=False)]
+    marks = [TrueMark(target="F01", image="sorties/01/images/a.tif", u_px=NINTH, v_px=2.0, visible=False)]
     folder = tmp_path / "truth"
     write_true_trajectories(folder / "trajectory.npz", {1: trajectory, 2: hand.make_trajectory(seed=3)})
     write_true_returns(folder / "returns_01_01.npz", returns)
@@ -302,6 +302,11 @@ def test_truth_round_trip_and_its_own_checksums(tmp_path: Path, hand: ModuleType
     assert truth.model_copy(update={"files": ()}) == make_truth()
     assert [f.path for f in truth.files] == ["truth/marks.csv", "truth/returns_01_01.npz", "truth/trajectory.npz"]
     assert verify_truth(tmp_path, truth) == []
+    names = [f.name for f in dataclasses.fields(trajectory) if "_std_" not in f.name]
+    np.savez(tmp_path / "plain.npz", **{f"s01_{n}": getattr(trajectory, n) for n in names})
+    plain = read_true_trajectories(tmp_path / "plain.npz")[1]
+    assert np.isnan(plain.position_std_m).all()
+    assert np.array_equal(plain.roll_rad, trajectory.roll_rad)
     first = (folder / "trajectory.npz").read_bytes()
     write_true_trajectories(folder / "trajectory.npz", {1: trajectory, 2: hand.make_trajectory(seed=3)})
     assert (folder / "trajectory.npz").read_bytes() == first
