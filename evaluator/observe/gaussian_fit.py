@@ -176,7 +176,9 @@ def _candidates(y: np.ndarray, iv: np.ndarray, base: float, s0: float, sigmas: f
     for i in range(2 * half + 1):
         z = (i - half) / s0
         kernel[i] = (1.0 - z * z) * math.exp(-0.5 * z * z)
-    mean = kernel.sum() / kernel.size
+    mean = 0.0
+    for i in range(kernel.size):
+        mean += kernel[i] / kernel.size
     response, noise = np.zeros(n), np.ones(n)
     for i in range(n):
         total, variance = 0.0, 0.0
@@ -346,7 +348,9 @@ def decompose_packets(
     taps = np.empty(2 * half + 1)
     for i in range(2 * half + 1):
         taps[i] = math.exp(-0.5 * ((i - half) / (0.6 * s0)) ** 2)
-    total = taps.sum()
+    total = 0.0
+    for i in range(taps.size):
+        total += taps[i]
     theta, reduced = np.empty(_MAX_PARAMETERS), np.empty(_MAX_PARAMETERS)
     backup = np.empty(_MAX_PARAMETERS)
     jacobian = np.ones((n, _MAX_PARAMETERS))
@@ -387,8 +391,6 @@ def decompose_packets(
         while k > 0:
             # Take out what is not significant.
             if k == 1:
-                reduced[0] = theta[3]
-                _residuals(y, iv, theta, 0, jacobian, r, False)
                 level, weight = 0.0, 0.0
                 for i in range(n):
                     level += (y[i] - base) * iv[i]
@@ -402,7 +404,7 @@ def decompose_packets(
                 for c in range(k):
                     _without(theta, k, c, reduced)
                     gains[c] = _fit(y, iv, reduced, k - 1, free, s0, width, jacobian) - chi2
-            weakest = 0
+            weakest = k - 1
             for c in range(k):
                 weakest = c if gains[c] < gains[weakest] else weakest
             if gains[weakest] < least_gain:
