@@ -10,7 +10,7 @@ import scipy.linalg
 import scipy.stats
 
 from evaluator.frames import euler_angles
-from evaluator.model import EvaluationError, Mounting, MountingSolution
+from evaluator.model import EvaluationError, MarkObservation, Mounting, MountingSolution, VertexObservation
 from evaluator.mounting_model import PARAMETER_NAMES, Problem, System, mounting_of
 
 # An observation is a blunder when its test's tail probability falls below this.
@@ -107,14 +107,22 @@ def _rescaled(problem: Problem, marks: float, vertices: float) -> Problem:
     )
 
 
+def describe_mark(mark: MarkObservation) -> str:
+    """The line that names a mark among the rejected."""
+    return f"mark of {mark.target} in {mark.image} (sortie {mark.sortie})"
+
+
+def describe_vertex(vertex: VertexObservation) -> str:
+    """The line that names a vertex among the rejected."""
+    return f"vertex of {vertex.target} in strip {vertex.strip} (sortie {vertex.sortie})"
+
+
 def _describe(problem: Problem, system: System, group: int) -> str:
     c, v = len(problem.marks), len(problem.vertices)
     if group < c:
-        mark = problem.marks[group]
-        return f"mark of {mark.target} in {mark.image} (sortie {mark.sortie})"
+        return describe_mark(problem.marks[group])
     if group < c + v:
-        vertex = problem.vertices[group - c]
-        return f"vertex of {vertex.target} in strip {vertex.strip} (sortie {vertex.sortie})"
+        return describe_vertex(problem.vertices[group - c])
     return f"surveyed place of {system.targets[group - c - v]}"
 
 

@@ -1,0 +1,70 @@
+"""The standard's own reading of (21)-(24): one rigid camera_from_lidar, as if a target were seen by both sensors in one instant.
+
+A companion figure. In flight the two sensors see a target seconds apart and an error of the LiDAR's own mounting does not
+cancel, which the joint solution (`adjustment`) takes into account.
+"""
+
+import numpy as np
+
+from evaluator.adjustment import camera_from_lidar
+from evaluator.camera_model import ideal_px, project_with_jacobian, undistorted_px
+from evaluator.frames import body_pose, euler_rates, euler_rotation, skew
+from evaluator.georeference import nominal_mountings
+from evaluator.mounting_model import Problem
+
+
+def solve_single_instant(problem: Problem, places_world_m: dict[tuple[int, int, str], np.ndarray]) -> dict[str, object]:
+    """Six parameters of (21)-(23) by Gauss-Newton on the pixel residuals.
+
+    Parameters
+    ----------
+    problem : Problem
+    places_world_m : dict
+        (sortie, strip, target) -> mark by the LiDAR in that strip, through the *nominal* mounting. An image is paired with
+        the scan of its own strip, the nearest in time. [m]
+
+    Returns
+    -------
+    dict
+        `p_m_px`, `roll_pitch_yaw_deg` of nominal^-1 * estimated, `translation_m`; or `reason`.
+
+    References
+    ----------
+    GB/T 41450-2022, 9.3.2 f-i, formulas (21)-(24).
+    """
+    camera, lidar = nominal_mountings(problem.rig)
+    marks = [m for m in problem.marks if (m.sortie, m.strip, m.target) in places_world_m]
+    if len(marks) < 4:
+        return {"reason": f"{len(marks)} marks with a vertex, 4 are needed"}
+    points = np.zeros((len(marks), 3))  # in the LiDAR frame at the image's instant
+    for i, m in enumerate(marks):
+        position, world_from_body = body_pose(
+            problem.trajectories[m.sortie], np.array([m.gps_time_s]), problem.world_frame
+        )
+        in_body = world_from_body[0].T @ (places_world_m[m.sortie, m.strip, m.target] - position[0])
+        points[i] = lidar.rotation.T @ (in_body - lidar.lever_arm_m)
+    reference, translation = camera_from_lidar(camera, lidar)
+    x = np.concatenate([np.zeros(3), translation])
+    observed = np.array([m.uv_px for m in marks])
+    for _ in range(30):
+        turned = points @ euler_rotation(*x[:3]).T
+        uv, by_point, _ = project_with_jacobian(problem.lens, turned @ reference.T + x[3:])
+        if not np.all(np.isfinite(uv)):
+            return {"reason": "a mark left the camera's field"}
+        design = np.zeros((len(marks), 2, 6))
+        design[:, :, :3] = by_point @ (reference @ -skew(turned) @ euler_rates(x[:3]))
+        design[:, :, 3:] = by_point
+        step, *_ = np.linalg.lstsq(design.reshape(-1, 6), (observed - uv).ravel(), rcond=None)
+        x = x + step
+        if np.abs(step[:3]).max() < 1e-10 and np.abs(step[3:]).max() < 1e-8:
+            break
+    else:
+        return {"reason": "no convergence"}
+    p = points @ euler_rotation(*x[:3]).T @ reference.T + x[3:]
+    norms = np.linalg.norm(ideal_px(problem.lens, p) - undistorted_px(problem.lens, observed), axis=1)
+    names = np.array([m.target for m in marks])
+    return {
+        "p_m_px": float(np.mean([norms[names == t].mean() for t in np.unique(names)])),
+        "roll_pitch_yaw_deg": [float(a) for a in np.degrees(x[:3])],
+        "translation_m": [float(a) for a in x[3:]],
+    }
