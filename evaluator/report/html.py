@@ -179,6 +179,7 @@ def render_report(evaluation: Evaluation, score: Score | None) -> str:
         cards=_indicator_cards(evaluation, results),
         groups=[(g, groups[g.id], GRADE_ZH[groups[g.id]]) for g in GROUPS],
         conformity=results["conformity"],
+        amiss=[r for r in results["conformity"] if r["status"] in ("fail", "warning")],
         counts=counts,
         problems=results["problems"],
         mounting=results["mounting"],
@@ -188,7 +189,8 @@ def render_report(evaluation: Evaluation, score: Score | None) -> str:
         colours=GRADE_COLOURS,
         number=_number,
     )
-    face = f"@font-face{{font-family:'Report SC';src:url({font_uri(page)}) format('woff');unicode-range:U+100-10FFFF}}"
+    chinese = "U+2E80-9FFF,U+F900-FAFF,U+FF00-FFEF"
+    face = f"@font-face{{font-family:'Report SC';src:url({font_uri(page)}) format('woff');unicode-range:{chinese}}}"
     return page.replace(_FONT_PLACE, face, 1)
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -64,18 +65,18 @@ def load_photo(data: CampaignData, sortie: int, image: str) -> Photo:
     return Photo(sortie=sortie, image=image, pixels=pixels)
 
 
-def _reduced(pixels: np.ndarray, width: int) -> tuple[np.ndarray, int]:
-    """Block means of k x k pixels, the largest k that keeps at least `width` columns; and k."""
-    k = max(1, pixels.shape[1] // width)
-    rows, columns = pixels.shape[0] // k * k, pixels.shape[1] // k * k
-    blocks = pixels[:rows, :columns].reshape(rows // k, k, columns // k, k, 3)
-    return blocks.mean(axis=(1, 3)).round().astype(np.uint8), k
+def _reduced(pixels: np.ndarray, width: int) -> np.ndarray:
+    """The image at `width` columns by area means; never enlarged."""
+    if pixels.shape[1] <= width:
+        return pixels
+    size = (width, max(1, round(pixels.shape[0] * width / pixels.shape[1])))
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
 
 
 def draw_photo(axes: Axes, photo: Photo, evaluation: Evaluation, width: int, labels: bool = True) -> None:
     """The image in its own pixel coordinates (top left corner (0, 0)) with regions, marks and reprojections."""
-    small, k = _reduced(photo.pixels, width)
-    axes.imshow(small, extent=(0, small.shape[1] * k, small.shape[0] * k, 0), interpolation="antialiased")
+    height_px, width_px = photo.pixels.shape[:2]
+    axes.imshow(_reduced(photo.pixels, width), extent=(0, width_px, height_px, 0), interpolation="nearest")
     key = (photo.sortie, photo.image)
     kinds = {t.id: t.kind for t in evaluation.data.targets} if evaluation.data else {}
     for region in evaluation.regions:
@@ -89,7 +90,7 @@ def draw_photo(axes: Axes, photo: Photo, evaluation: Evaluation, width: int, lab
     axes.plot(*marks.T, "o", mfc="none", mec=_REGION, ms=6, mew=0.9)
     projected = np.array([r.projected_px for r in evaluation.residuals if (r.sortie, r.image) == key]).reshape(-1, 2)
     axes.plot(*projected.T, "+", color=_PROJECTED, ms=6, mew=0.9)
-    axes.set(xlim=(0, photo.pixels.shape[1]), ylim=(photo.pixels.shape[0], 0))
+    axes.set(xlim=(0, width_px), ylim=(height_px, 0))
     axes.set_axis_off()
 
 
@@ -184,7 +185,7 @@ def hero_picture(path: Path, evaluation: Evaluation) -> None:
         drawn = figure(12.0, 8.2)
         grid = drawn.add_gridspec(3, 4, height_ratios=(2.15, 2.15, 2.1))
         main = drawn.add_subplot(grid[:2, :3])
-        draw_photo(main, photo, evaluation, 1536, labels=False)
+        draw_photo(main, photo, evaluation, 1000, labels=False)
         main.set_title(
             f"{evaluation.campaign}: {photo.image}, sortie {photo.sortie}; yellow: marks found, red: LiDAR vertices "
             f"projected, blue: panels",

@@ -94,13 +94,13 @@ def jpeg_uri(drawn: Figure, dpi: float) -> str:
 
 
 def font_uri(text: str) -> str:
-    """Noto Sans SC cut down to the characters beyond Latin-1 that `text` uses, as WOFF.
+    """Noto Sans SC cut down to the Chinese characters and their punctuation that `text` uses, as WOFF.
 
     A machine without Chinese fonts shows the report all the same.
     """
     options = subset.Options(layout_features=[], name_IDs=[1, 2, 13, 14], notdef_outline=True, hinting=False)
     cutter = subset.Subsetter(options)
-    cutter.populate(unicodes=sorted({ord(c) for c in text if ord(c) > 0xFF}))
+    cutter.populate(unicodes=sorted({ord(c) for c in set(text) if ord(c) >= 0x2E80}))
     buffer = io.BytesIO()
     with TTFont(Path(pylopdf_fonts_zh_cn.sans_path()), lazy=True, recalcTimestamp=False) as font:
         cutter.subset(font)

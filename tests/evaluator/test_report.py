@@ -19,6 +19,9 @@ from evaluator.results import Evaluation
 from evaluator.score import Score, ScoreItem
 
 
+NO_FIGURES = {"waveforms": (), "panels": (), "residuals": (), "mounting": None}
+
+
 def made_up_score() -> Score:
     """Two quantities, one without a standard deviation."""
     item = ScoreItem(
@@ -47,7 +50,6 @@ def test_complete_report(previews: CampaignData, evaluation: Evaluation, tmp_pat
         "1.23",
         "0.500",
         "Simulated campaign",
-        "-hand",
     ):
         assert word in plain
     for row in evaluation.conformity:
@@ -71,7 +73,9 @@ def test_markup_is_escaped(evaluation: Evaluation, tmp_path: Path) -> None:
     """Rationale: a campaign folder is somebody else's text. Expected: a script in a record arrives as characters."""
     evil = "<script>alert(1)</script>"
     row = Row(clause="7.1 a", requirement="aircraft", measured=evil, limit="<b>", status="pass")
-    write_report(tmp_path / "r.html", replace(evaluation, conformity=(row,), problems=(evil,), data=None), None)
+    write_report(
+        tmp_path / "r.html", replace(evaluation, conformity=(row,), problems=(evil,), data=None, **NO_FIGURES), None
+    )
     text = (tmp_path / "r.html").read_text()
     assert "<script" not in text
     assert text.count(html.escape(evil)) == 2
@@ -91,7 +95,7 @@ def test_bare_report(evaluation: Evaluation, bare_data: CampaignData, tmp_path: 
 
 def test_missing_preview_is_said(evaluation: Evaluation, tmp_path: Path) -> None:
     """Rationale: previews are optional. Expected: the report says which one is missing and draws the rest."""
-    write_report(tmp_path / "r.html", evaluation, None)
+    write_report(tmp_path / "r.html", replace(evaluation, **NO_FIGURES), None)
     text = (tmp_path / "r.html").read_text()
     assert text.count("No picture:") == 2
     assert "data:image/svg+xml" in text
