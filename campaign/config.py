@@ -204,7 +204,7 @@ class Lidar(Model):
     sampling_ns: Positive = 1.0
     samples: Annotated[int, Field(ge=16, le=1024)] = 64
     bit_depth: Annotated[int, Field(ge=8, le=16)] = 12
-    full_scale_power_nw: Positive = Field(400.0, description="optical power at the digitiser's last step")
+    full_scale_power_nw: Positive = Field(46000.0, description="optical power at the digitiser's last step")
     baseline_dn: NonNegative = 60.0
     noise_dn: NonNegative = Field(2.0, description="standard deviation of detector and amplifier noise")
     shot_noise_dn: NonNegative = Field(0.25, description="added variance is this squared times the signal in DN")
