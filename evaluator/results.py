@@ -14,7 +14,14 @@ import numpy as np
 
 from evaluator.c10_1_grading import GRADE_ZH, GROUPS, INDICATORS, Grade, grade, group_grades
 from evaluator.conformity.model import Row
-from evaluator.model import CampaignData, EvaluationError, MarkObservation, Mounting, MountingSolution, VertexObservation
+from evaluator.model import (
+    CampaignData,
+    EvaluationError,
+    MarkObservation,
+    Mounting,
+    MountingSolution,
+    VertexObservation,
+)
 from evaluator.results_model import IndicatorValue, not_measured
 
 SCHEMA = 1
@@ -95,6 +102,9 @@ class Evaluation:
     panels: tuple[PanelValue, ...] = ()
     regions: tuple[Region, ...] = ()
     waveforms: tuple[WaveformExample, ...] = ()
+    strip_window_s: Mapping[tuple[int, int], tuple[float, float]] = field(
+        default_factory=dict
+    )  # as in ConformityInputs
     companions: Mapping[str, object] = field(default_factory=dict)
 
     @property

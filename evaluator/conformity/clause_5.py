@@ -3,7 +3,7 @@
 import numpy as np
 
 from evaluator.conformity.clause_6 import survey_accuracy, worst_flatness
-from evaluator.conformity.model import ConformityInputs, Row, missing, passed, row
+from evaluator.conformity.model import ConformityInputs, Row, missing, passed, percent, row
 from evaluator.model import CampaignData
 
 _INDICATORS = 8  # table 1
@@ -54,7 +54,13 @@ def _instruments(data: CampaignData) -> list[Row]:
         rows.append(missing("5.3", name, limit, "spectra of the panels"))
     else:
         rows.append(
-            row("5.3", name, f"flatness {flatness[1]:.1%} at worst ({flatness[0]})", limit, passed(flatness[1] < 0.05))
+            row(
+                "5.3",
+                name,
+                f"flatness {percent(flatness[1], 1)} at worst ({flatness[0]})",
+                limit,
+                passed(flatness[1] < 0.05),
+            )
         )
     accuracy = survey_accuracy(data)
     name, limit = "survey of the geometric targets", "better than 1 cm horizontally, 2 cm in height"
@@ -100,15 +106,16 @@ def _brightness(measured: ConformityInputs) -> Row:
         return missing("5.5 a", requirement, limit, "brightness of the panels")
     mean = float(np.mean(list(values.values())))
     low, high = min(values, key=values.__getitem__), max(values, key=values.__getitem__)
-    text = f"{mean:.1%} over {len(values)} panels, from {values[low]:.0%} ({low}) to {values[high]:.0%} ({high})"
+    text = f"{percent(mean, 1)} over {len(values)} panels"
+    text += f", from {percent(values[low], 0)} ({low}) to {percent(values[high], 0)} ({high})"
     if measured.panel_brightness_linear:
-        text += f"; linear {np.mean(list(measured.panel_brightness_linear.values())):.1%}"
+        text += f"; linear {percent(float(np.mean(list(measured.panel_brightness_linear.values()))), 1)}"
     if measured.panel_clipped_share:
         clipped = {k: v for k, v in measured.panel_clipped_share.items() if v > 0.0}
         text += f"; clipped pixels on {len(clipped)} panels" if clipped else "; no clipped pixel"
         if clipped:
             worst = max(clipped, key=clipped.__getitem__)
-            text += f" (up to {clipped[worst]:.1%}, {worst})"
+            text += f" (up to {percent(clipped[worst], 1)}, {worst})"
     return row("5.5 a", requirement, text, limit, passed(_BRIGHTNESS[0] <= mean <= _BRIGHTNESS[1]))
 
 

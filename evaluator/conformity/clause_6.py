@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from campaign.survey import SurveyedTarget
-from evaluator.conformity.model import ConformityInputs, Row, missing, passed, row
+from evaluator.conformity.model import ConformityInputs, Row, missing, passed, percent, row
 from evaluator.frames import WorldFrame
 from evaluator.model import CampaignData
 
@@ -157,7 +157,7 @@ def _targets(data: CampaignData) -> list[Row]:
             row(
                 "6.2.2 b",
                 requirement,
-                f"{flatness[1]:.1%} at worst ({flatness[0]})",
+                f"{percent(flatness[1], 1)} at worst ({flatness[0]})",
                 limit,
                 passed(flatness[1] < _FLATNESS),
             )

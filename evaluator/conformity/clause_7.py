@@ -9,7 +9,7 @@ from evaluator.conformity.flight import (
     sun_elevation,
     wind_two_minute_mean,
 )
-from evaluator.conformity.model import ConformityInputs, Row, Status, missing, passed, row
+from evaluator.conformity.model import ConformityInputs, Row, Status, missing, passed, percent, row
 from evaluator.model import CampaignData, EvaluationError
 
 _MAX_SPEED = {"fixed_wing": 30.0, "multirotor": 16.0}
@@ -178,7 +178,7 @@ def _speed(data: CampaignData, flights: list[StripFlight]) -> list[Row]:
 
 def _resolution(data: CampaignData) -> Row:
     requirement = "height from the ground resolution, H = f·GSD/a (1)"
-    limit = f"within {_AGREES:.0%} of the lowest design height"
+    limit = f"within {percent(_AGREES, 0)} of the lowest design height"
     if data.plan is None or data.camera is None or not data.plan.strips:
         return missing("7.4 a", requirement, limit, "plan or camera sheet")
     focal, pixel = data.camera.nominal_focal_length_mm, data.camera.pixel_size_um / 1000.0
@@ -210,13 +210,15 @@ def _heights(flights: list[StripFlight]) -> list[Row]:
     worst = max(flights, key=lambda f: np.ptp(f.height_m) / f.height_m.mean())
     change = float(np.ptp(worst.height_m) / worst.height_m.mean())
     status: Status = "fail" if change > _HEIGHT_LIMIT else "warning" if change > _HEIGHT_WARNING else "pass"
-    rows.append(row(within[0], within[1], f"{change:.2%} ({worst.name})", within[2], status))
+    rows.append(row(within[0], within[1], f"{percent(change, 2)} ({worst.name})", within[2], status))
 
     planned = [(f, f.design_height_m) for f in flights if f.design_height_m is not None]
     if planned:
         off = max(float(np.abs(f.height_m - design).max()) for f, design in planned)
         relative = max(float(np.abs(f.height_m - design).max() / design) for f, design in planned)
-        rows.append(row(against[0], against[1], f"{relative:.2%} at most", against[2], passed(relative <= 0.05)))
+        rows.append(
+            row(against[0], against[1], f"{percent(relative, 2)} at most", against[2], passed(relative <= 0.05))
+        )
     else:
         rows.append(missing(against[0], against[1], against[2], "design heights in plan.json"))
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from evaluator.conformity.model import ConformityInputs, Row, missing, passed, row
+from evaluator.conformity.model import ConformityInputs, Row, missing, passed, percent, row
 from evaluator.model import CampaignData
 
 _LEVELS_PERCENT = (5.0, 20.0, 40.0, 60.0, 100.0)
@@ -64,7 +64,9 @@ def _frustums(data: CampaignData, measured: ConformityInputs) -> list[Row]:
         flown = sorted({s.height_m for s in data.plan.strips})
         text += f", flown at {', '.join(f'{h:g}' for h in flown)} m"
         depth = (max(flown) - min(flown) + float(np.ptp(height))) / min(flown)
-        rows.append(row("9.3.2 b", spread, f"{text}: depth varies by {depth:.0%}", differ, passed(depth > 0.01)))
+        rows.append(
+            row("9.3.2 b", spread, f"{text}: depth varies by {percent(depth, 0)}", differ, passed(depth > 0.01))
+        )
     else:
         rows.append(row("9.3.2 b", spread, text, differ, passed(float(np.ptp(height)) > 0.0)))
     return rows

@@ -57,3 +57,8 @@ def passed(condition: bool) -> Status:
 def missing(clause: str, requirement: str, limit: str, what: str) -> Row:
     """A requirement whose record the campaign does not hold."""
     return row(clause, requirement, f"no {what}", limit, "not_recorded")
+
+
+def percent(value: float, digits: int) -> str:
+    """0.1234 as "12.3 %"."""
+    return f"{100.0 * value:.{digits}f} %"

@@ -100,7 +100,7 @@ def _pictures(evaluation: Evaluation, score: Score | None) -> list[Picture]:
         out.append(
             _picture("Layout 布设", "Fields of view are drawn at the lowest design height.", lambda: plots.layout(data))
         )
-        out.append(_picture("Flight profile 航高与航速", "Strips are shaded.", lambda: plots.profile(data)))
+        out.append(_picture("Flight profile 航高与航速", "Strips are shaded.", lambda: plots.profile(evaluation, data)))
     out += _photographs(evaluation)
     if evaluation.waveforms:
         caption = "Dots: samples of the digitiser. Line: Gaussian decomposition."

@@ -92,7 +92,7 @@ def layout(data: CampaignData) -> Figure:
     return drawn
 
 
-def profile(data: CampaignData) -> Figure:
+def profile(evaluation: Evaluation, data: CampaignData) -> Figure:
     """Height above the site's origin and ground speed over time, one column a sortie, strips shaded."""
     flown = [s for s in data.sorties if s.trajectory is not None and s.trajectory.gps_time_s.size > 1]
     drawn = figure(5.3, 3.4)
@@ -100,7 +100,7 @@ def profile(data: CampaignData) -> Figure:
         drawn.text(0.5, 0.5, "no trajectory", ha="center")
         return drawn
     grid = drawn.subplots(2, len(flown), sharex="col", sharey="row", squeeze=False)
-    windows = strip_windows(data, ConformityInputs())
+    windows = strip_windows(data, ConformityInputs(strip_window_s=evaluation.strip_window_s))
     for column, sortie in enumerate(flown):
         t = sortie.trajectory
         assert t is not None

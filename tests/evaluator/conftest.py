@@ -490,6 +490,7 @@ def evaluation(
         panels=panels,
         regions=tuple(regions),
         waveforms=waveforms,
+        strip_window_s=conformity_inputs.strip_window_s,
     )
 
 

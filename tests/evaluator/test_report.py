@@ -33,7 +33,7 @@ def made_up_score() -> Score:
 
 def test_complete_report(previews: CampaignData, evaluation: Evaluation, tmp_path: Path) -> None:
     """Rationale: a person reads the test in this one file, offline. Expected: every indicator in both languages with its grade,
-    every conformity row, both photographs, the score; no address outside the file; under 10 MB and 10 s of processor time; the same bytes
+    every conformity row, both photographs, the score; no address outside the file; under 10 MB, 10 s; the same bytes
     twice. Tolerance: none."""
     path = tmp_path / "report.html"
     start = time.process_time()
