@@ -19,6 +19,7 @@ app = App(
     name="testrange",
     help="A virtual test range for UAV LiDAR and cameras after GB/T 41450-2022.",
     version_flags=["--version"],
+    help_format="plaintext",  # Markdown help costs 40 ms of imports
     result_action="return_value",
     suppress_keyboard_interrupt=False,  # `call` says it in the same form as every other end
 )
