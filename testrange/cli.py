@@ -26,11 +26,18 @@ app = App(
 
 Settings = Annotated[
     tuple[str, ...],
-    Parameter(name="--set", negative="", help="One setting as key=value, a TOML value; may be repeated: --set seed=7"),
+    Parameter(
+        name="--set",
+        negative="",
+        show_default=False,
+        help="One setting as key=value, a TOML value; may be repeated: --set seed=7",
+    ),
 ]
-Replace = Annotated[bool, Parameter(negative="", help="Replace an output folder of an earlier run.")]
-Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON instead of tables.")]
-Quiet = Annotated[bool, Parameter(negative="", help="No progress.")]
+Replace = Annotated[
+    bool, Parameter(negative="", show_default=False, help="Replace an output folder of an earlier run.")
+]
+Json = Annotated[bool, Parameter(name="--json", negative="", show_default=False, help="Print JSON instead of tables.")]
+Quiet = Annotated[bool, Parameter(negative="", show_default=False, help="No progress.")]
 
 
 def _print_json(content: Any) -> None:
