@@ -310,6 +310,16 @@ def test_packets_of_unequal_length(tmp_path: Path, internal: bool) -> None:
     assert groups[(1, 4)] == ([2], [[0, 1, 2, 3]])
 
 
+def test_offsets_of_internal_packets_count_from_their_record(tmp_path: Path) -> None:
+    """A record that names a byte past the file's end, though inside it when counted from the file's beginning."""
+    path = tmp_path / "w.las"
+    wave_file(path, [(1, bytes(16))] * 3, {1: (8, 16, 1000)}, internal=True)
+    StripReader(path).check_packets()
+    patched(path, struct.unpack_from("<I", path.read_bytes(), 96)[0] + 29, "<Q", 60 + 16 * 4)
+    with pytest.raises(CampaignError, match="is shorter than its packets say"):
+        StripReader(path).check_packets()
+
+
 def test_packets_that_start_at_60_and_different_sampling(tmp_path: Path) -> None:
     raw = [bytes([i] * 16) for i in range(5)]
     wave_file(tmp_path / "w.las", [(1, r) for r in raw], {1: (8, 16, 2000)}, internal=False)

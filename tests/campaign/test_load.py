@@ -39,6 +39,8 @@ def base(tmp_path: Path) -> Path:
         ("lidar.divergence_mrad=0.5", "lidar.divergence_mrad is not a setting; did you mean lidar.divergence_rad?"),
         ("flight.heights_m=[-45.0]", "flight.heights_m[0]: got -45.0; expected greater than 0"),
         ("seed=abc", 'seed: got "abc"; expected a valid integer'),
+        ('seed="3"', 'seed: got "3"; expected a valid integer'),
+        ("flight.speed_m_s=true", "flight.speed_m_s: got true; expected a valid number"),
         ("faults.range_scale=nan", "faults.range_scale: got NaN; expected a finite number"),
         (
             "lidar.divergence_rad=0.5",
