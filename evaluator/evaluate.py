@@ -1,0 +1,409 @@
+"""One campaign folder in, one `Evaluation` out: the order of the evaluator's rooms. No formula and no file format here.
+
+First the geometry: marks from every image, vertices from every strip, both mountings. With the mountings known the panels are
+where the survey says; without them each is searched. Then the indicators, then conformity. An indicator that cannot be had
+carries its reason and never stops the others. Nothing under truth/ is opened.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from campaign.errors import TestrangeError
+from campaign.images import read_image, read_preview
+from campaign.records import CameraObservation, Exposure, read_camera_observations
+from evaluator.c8_1_lidar_reflectance import PanelReflectances, evaluate_lidar_reflectance
+from evaluator.c8_3_reflectance_consistency import evaluate_reflectance_consistency
+from evaluator.c9_3_calibration import CalibrationResult, evaluate_calibration
+from evaluator.conformity import ConformityInputs, conformity_rows
+from evaluator.frames import WorldFrame
+from evaluator.geometry import GeometryResult, observe_marks, search_radius_px, solve_geometry
+from evaluator.georeference import TargetReturns, collect_target_returns, nominal_mountings
+from evaluator.load import load_campaign as read_campaign
+from evaluator.model import CampaignData, EvaluationError, MarkObservation, Mounting, SortieData
+from evaluator.observe.examples import waveform_examples
+from evaluator.observe.panel_images import panel_image_values, panel_region_px, region_pixels
+from evaluator.observe.panels import ImagePanelObservation, LidarPanelObservation, lidar_panel_observations
+from evaluator.results import Evaluation, PanelValue, Region
+from evaluator.results_model import IndicatorValue, not_measured
+
+__all__ = ["evaluate_campaign", "read_campaign"]
+
+Report = Callable[[str, int, int], None]
+COLLECT_MARGIN_M = 1.4  # round a target's own radius: one degree of unknown mounting at 80 m
+
+
+def silent(stage: str, done: int, total: int) -> None:
+    """A progress report that says nothing."""
+
+
+@dataclass(kw_only=True)
+class _Findings:
+    """What accumulates while images are read one by one."""
+
+    marks: list[MarkObservation] = field(default_factory=list)
+    mark_reasons: dict[str, str] = field(default_factory=dict)
+    panels: list[ImagePanelObservation] = field(default_factory=list)
+    regions: list[Region] = field(default_factory=list)
+    brightness: dict[str, list[float]] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+
+def evaluate_campaign(root: Path, progress: Report = silent) -> Evaluation:
+    """Evaluate one campaign folder.
+
+    Raises
+    ------
+    CampaignError
+        `root` is no campaign folder.
+    """
+    data = read_campaign(root)
+    findings = _Findings(problems=list(data.problems))
+    returns = _returns_near_targets(data, findings, progress)
+    geometry, geometry_reason = _geometry(data, returns, findings, progress)
+    camera, lidar = _mountings(data, geometry)
+    progress("panels", 0, 2)
+    lidar_panels = _lidar_panels(data, returns, lidar if geometry else None, findings)
+    progress("panels", 1, 2)
+    _image_panels(data, camera, geometry is not None, findings, progress)
+    m_f, lidar_values = evaluate_lidar_reflectance(lidar_panels, data.targets, data.spectra, data.lidar)
+    r_f, m_relative, camera_values = evaluate_reflectance_consistency(
+        lidar_values, findings.panels, data.targets, data.spectra, data.camera, lidar_reason=m_f.reason or "8.1 failed"
+    )
+    progress("panels", 2, 2)
+    progress("calibration error", 0, 1)
+    calibration, p_m = _calibration(geometry, geometry_reason)
+    progress("calibration error", 1, 1)
+    indicators = {
+        "lidar_reflectance_rmse": m_f,
+        "reflectance_correlation": r_f,
+        "reflectance_rmse_relative": m_relative,
+        "calibration_error": p_m,
+    }
+    measured = _conformity_inputs(data, findings, geometry, lidar_panels, returns, camera, indicators)
+    return Evaluation(
+        campaign=data.manifest.campaign,
+        synthetic=data.manifest.synthetic,
+        indicators=indicators,
+        conformity=tuple(conformity_rows(data, measured)),
+        mounting=geometry.solution if geometry else None,
+        mounting_reason=geometry_reason,
+        mounting_prior_std=_prior_std(data),
+        problems=tuple(findings.problems),
+        data=data,
+        marks=tuple(findings.marks),
+        vertices=geometry.vertices if geometry else (),
+        residuals=calibration.residuals if calibration else (),
+        panels=_panel_values(data, lidar_values, camera_values),
+        regions=tuple(findings.regions),
+        waveforms=tuple(waveform_examples(data, returns, lidar_panels)),
+        strip_window_s=measured.strip_window_s,
+        companions={
+            "marks_not_found": dict(sorted(findings.mark_reasons.items())),
+            "vertices_not_found": dict(sorted(geometry.vertex_reasons.items())) if geometry else {},
+        },
+    )
+
+
+def _returns_near_targets(
+    data: CampaignData, findings: _Findings, progress: Report
+) -> dict[tuple[int, int, str], TargetReturns]:
+    strips = sum(len(s.strips) for s in data.sorties)
+    progress("point cloud", 0, strips)
+    centres = {t.id: np.array([t.easting_m, t.northing_m, t.height_m]) for t in data.targets}
+    widest = max((t.size_m for t in data.targets), default=0.0)
+    found: dict[tuple[int, int, str], TargetReturns] = {}
+    done = 0
+    for sortie in data.sorties:
+        for strip in sortie.strips:
+            one = _only(data, sortie, (strip,))
+            try:
+                found |= collect_target_returns(one, centres, widest / np.sqrt(2.0) + COLLECT_MARGIN_M)
+            except TestrangeError as error:
+                findings.problems.append(str(error))
+            done += 1
+            progress("point cloud", done, strips)
+    return found
+
+
+def _only(data: CampaignData, sortie: SortieData, strips: tuple[int, ...]) -> CampaignData:
+    """The campaign as if it had but these strips of one sortie."""
+    return replace(data, sorties=(replace(sortie, strips=strips),))
+
+
+def _exposures(data: CampaignData) -> Iterator[tuple[SortieData, Exposure]]:
+    for sortie in data.sorties:
+        for exposure in sortie.exposures:
+            if sortie.trajectory is not None:
+                yield sortie, exposure
+
+
+def _image(data: CampaignData, sortie: SortieData, exposure: Exposure) -> np.ndarray:
+    sheet = data.camera
+    if sheet is None:
+        raise EvaluationError("no sensors/camera.json")
+    path = sortie.folder.images / exposure.image
+    return read_image(path, width_px=sheet.width_px, height_px=sheet.height_px, bands=len(sheet.bands))
+
+
+def _picked(sortie: SortieData, findings: _Findings) -> list[CameraObservation]:
+    """What a person picked, where the campaign has it (8.3.2 c, 9.3.2 c)."""
+    path = sortie.folder.observations_camera
+    if not path.exists():
+        return []
+    try:
+        return read_camera_observations(path)
+    except TestrangeError as error:
+        findings.problems.append(str(error))
+        return []
+
+
+def _geometry(
+    data: CampaignData,
+    returns: dict[tuple[int, int, str], TargetReturns],
+    findings: _Findings,
+    progress: Report,
+) -> tuple[GeometryResult | None, str | None]:
+    """Marks of every image, then both mountings; or why there are none."""
+    if data.rig is None or data.camera is None:
+        missing = "sensors/rig.json" if data.rig is None else "sensors/camera.json"
+        return None, f"{missing} is missing or unreadable"
+    if not any(t.kind == "frustum" for t in data.targets):
+        return None, "the survey holds no frustum target"
+    nominal = nominal_mountings(data.rig)[0]
+    heights = {(s.sortie, s.strip): s.height_m for s in data.plan.strips} if data.plan is not None else {}
+    frames = list(_exposures(data))
+    progress("marks", 0, len(frames))
+    hand = {sortie.folder.number: _picked(sortie, findings) for sortie in data.sorties}
+    for done, (sortie, exposure) in enumerate(frames, start=1):
+        height = heights.get((sortie.folder.number, exposure.strip), exposure.focus_distance_m)
+        try:
+            marks, reasons = observe_marks(
+                data,
+                sortie,
+                exposure,
+                _image(data, sortie, exposure),
+                nominal,
+                search_radius_px(data, height),
+                hand[sortie.folder.number],
+            )
+            findings.marks += marks
+            findings.mark_reasons |= reasons
+        except TestrangeError as error:
+            findings.problems.append(str(error))
+        progress("marks", done, len(frames))
+    progress("mounting", 0, 1)
+    try:
+        result = solve_geometry(data, findings.marks, returns)
+    except EvaluationError as error:
+        return None, str(error)
+    finally:
+        progress("mounting", 1, 1)
+    return result, None
+
+
+def _mountings(data: CampaignData, geometry: GeometryResult | None) -> tuple[Mounting | None, Mounting | None]:
+    """Camera and LiDAR: solved, else as drawn, else unknown."""
+    if geometry is not None:
+        return geometry.solution.body_from_camera, geometry.solution.body_from_lidar
+    return nominal_mountings(data.rig) if data.rig is not None else (None, None)
+
+
+def _lidar_panels(
+    data: CampaignData,
+    returns: dict[tuple[int, int, str], TargetReturns],
+    body_from_lidar: Mounting | None,
+    findings: _Findings,
+) -> list[LidarPanelObservation]:
+    if data.rig is None or data.lidar is None:
+        return []
+    try:
+        return lidar_panel_observations(data, returns, body_from_lidar)
+    except TestrangeError as error:
+        findings.problems.append(str(error))
+        return []
+
+
+def _image_panels(
+    data: CampaignData, body_from_camera: Mounting | None, solved: bool, findings: _Findings, progress: Report
+) -> None:
+    """Panel values, outlines and brightness of every image; images that cannot be read were named with the marks."""
+    panels = [t for t in data.targets if t.kind == "panel"]
+    if data.camera is None or body_from_camera is None or not panels:
+        return
+    frame = WorldFrame(data.manifest)
+    frames = list(_exposures(data))
+    progress("images", 0, len(frames))
+    for done, (sortie, exposure) in enumerate(frames, start=1):
+        trajectory = sortie.trajectory
+        assert trajectory is not None
+        try:
+            image = _image(data, sortie, exposure)
+            values = panel_image_values(
+                image,
+                exposure,
+                sortie.folder.number,
+                panels,
+                data.camera,
+                body_from_camera,
+                trajectory,
+                frame,
+                search=not solved,
+            )
+            _brightness(data, sortie, exposure, values, findings)
+        except TestrangeError as error:
+            if str(error) not in findings.problems:
+                findings.problems.append(str(error))
+            continue
+        findings.panels += values
+        findings.regions += [
+            Region(target=v.panel, sortie=v.sortie, image=v.image, corners_px=v.region_px) for v in values
+        ]
+        progress("images", done, len(frames))
+
+
+def _brightness(
+    data: CampaignData,
+    sortie: SortieData,
+    exposure: Exposure,
+    values: list[ImagePanelObservation],
+    findings: _Findings,
+) -> None:
+    """HSV V (the greatest channel) of the 8-bit preview inside each panel's region, 5.5 a."""
+    path = (sortie.folder.images / exposure.image).with_suffix(".jpg")
+    if data.camera is None or not path.exists():
+        return
+    preview = read_preview(path, width_px=data.camera.width_px, height_px=data.camera.height_px)
+    for value in values:
+        rows, columns, _ = region_pixels(value.region_px)
+        v = preview[rows, columns].max(axis=1).mean() / 255.0
+        findings.brightness.setdefault(value.panel, []).append(float(v))
+
+
+def _calibration(
+    geometry: GeometryResult | None, reason: str | None
+) -> tuple[CalibrationResult | None, IndicatorValue]:
+    if geometry is None:
+        return None, not_measured("pixel", "(20)", "9.3", reason or "the mountings are not known")
+    try:
+        result = evaluate_calibration(geometry.problem, geometry.solution)
+    except EvaluationError as error:
+        return None, not_measured("pixel", "(20)", "9.3", str(error))
+    return result, result.indicator
+
+
+def _prior_std(data: CampaignData) -> np.ndarray | None:
+    if data.rig is None:
+        return None
+    sheets = (data.rig.camera, data.rig.lidar)
+    return np.concatenate([[np.radians(s.boresight_std_deg)] * 3 + [s.lever_arm_std_m] * 3 for s in sheets])
+
+
+def _panel_values(
+    data: CampaignData, lidar: PanelReflectances | None, camera: PanelReflectances | None
+) -> tuple[PanelValue, ...]:
+    def value(of: PanelReflectances | None, panel: str, column: str) -> float | None:
+        if of is None or panel not in of.panels:
+            return None
+        return float(getattr(of, column)[of.panels.index(panel)])
+
+    return tuple(
+        PanelValue(
+            id=t.id,
+            nominal_percent=t.nominal_reflectance_percent or 0.0,
+            lidar_percent=value(lidar, t.id, "measured_percent"),
+            camera_percent=value(camera, t.id, "measured_percent"),
+            laser_reference_percent=value(lidar, t.id, "reference_percent"),
+            band_reference_percent=value(camera, t.id, "reference_percent"),
+        )
+        for t in sorted(data.targets, key=lambda t: t.id)
+        if t.kind == "panel"
+    )
+
+
+def _conformity_inputs(
+    data: CampaignData,
+    findings: _Findings,
+    geometry: GeometryResult | None,
+    lidar_panels: list[LidarPanelObservation],
+    returns: dict[tuple[int, int, str], TargetReturns],
+    camera: Mounting | None,
+    indicators: dict[str, IndicatorValue],
+) -> ConformityInputs:
+    """Facts that only the observations tell."""
+    points: dict[str, int] = {}
+    by_sortie: dict[int, dict[str, int]] = {}
+    for o in lidar_panels:
+        points[o.panel] = points.get(o.panel, 0) + o.points
+        mine = by_sortie.setdefault(o.sortie, {})
+        mine[o.panel] = mine.get(o.panel, 0) + o.points
+    linear: dict[str, list[float]] = {}
+    clipped: dict[str, list[float]] = {}
+    if data.camera is not None:
+        full = 2.0**data.camera.bit_depth - 1.0 - data.camera.black_level_dn
+        for v in findings.panels:
+            linear.setdefault(v.panel, []).append(max(v.mean_dn) / full)
+            clipped.setdefault(v.panel, []).append(max(v.clipped_share))
+    used = {m.target for m in findings.marks} & {v.target for v in (geometry.vertices if geometry else ())}
+    return ConformityInputs(
+        panel_points=points,
+        panel_points_by_sortie=by_sortie,
+        panel_brightness={k: float(np.mean(v)) for k, v in findings.brightness.items()},
+        panel_brightness_linear={k: float(np.mean(v)) for k, v in linear.items()},
+        panel_clipped_share={k: float(np.max(v)) for k, v in clipped.items()},
+        targets_in_image=_targets_in_images(data, camera),
+        scan_interval_s=_scan_intervals(returns),
+        strip_window_s=_strip_windows(returns),
+        frustum_vertices=len({v.target for v in geometry.vertices}) if geometry else None,
+        frustum_marks=len({m.target for m in findings.marks}) if data.camera is not None else None,
+        frustums_used=len(used) if geometry else None,
+        panels_picked_by="evaluator" if findings.panels else None,
+        frustums_picked_by=_picked_by(findings.marks),
+        indicators_measured=sum(v.value is not None for v in indicators.values()),
+    )
+
+
+def _picked_by(marks: list[MarkObservation]) -> str | None:
+    if not marks:
+        return None
+    return "person" if any(m.picked_by == "person" for m in marks) else "evaluator"
+
+
+def _targets_in_images(data: CampaignData, camera: Mounting | None) -> dict[tuple[int, str], int]:
+    """How many targets lie wholly inside each image (6.2.3 b): their squares as seen through the mounting at hand."""
+    if data.camera is None or camera is None:
+        return {}
+    frame = WorldFrame(data.manifest)
+    limit = np.array([data.camera.width_px, data.camera.height_px], dtype=np.float64)
+    counts: dict[tuple[int, str], int] = {}
+    for sortie, exposure in _exposures(data):
+        inside = 0
+        assert sortie.trajectory is not None
+        for target in data.targets:
+            try:
+                corners = panel_region_px(target, data.camera, camera, sortie.trajectory, exposure, frame)
+            except EvaluationError:
+                break  # the exposure lies outside the trajectory: named with the marks
+            inside += bool(np.isfinite(corners).all() and (corners >= 0.0).all() and (corners <= limit).all())
+        counts[sortie.folder.number, exposure.image] = inside
+    return counts
+
+
+def _scan_intervals(returns: dict[tuple[int, int, str], TargetReturns]) -> dict[tuple[int, int], float]:
+    """Seconds from the first to the last target scanned, by each target's mean time, for strips that saw two or more."""
+    times: dict[tuple[int, int], list[float]] = {}
+    for (sortie, strip, _), rows in returns.items():
+        times.setdefault((sortie, strip), []).append(float(rows.returns.gps_time_s.mean()))
+    return {key: max(t) - min(t) for key, t in sorted(times.items()) if len(t) > 1}
+
+
+def _strip_windows(returns: dict[tuple[int, int, str], TargetReturns]) -> dict[tuple[int, int], tuple[float, float]]:
+    """From the first to the last return near any target: the part of the strip over the range."""
+    windows: dict[tuple[int, int], tuple[float, float]] = {}
+    for (sortie, strip, _), rows in returns.items():
+        low, high = windows.get((sortie, strip), (np.inf, -np.inf))
+        time = rows.returns.gps_time_s
+        windows[sortie, strip] = (min(low, float(time.min())), max(high, float(time.max())))
+    return dict(sorted(windows.items()))

@@ -1,0 +1,50 @@
+"""Received waveforms with their decomposition, one for each reflectance class: pictures for the report, no measurement."""
+
+import numpy as np
+
+from campaign.las import StripReader
+from evaluator.georeference import TargetReturns
+from evaluator.model import CampaignData
+from evaluator.observe.panels import LidarPanelObservation
+from evaluator.observe.waveforms import FWHM_PER_SIGMA, decompose
+from evaluator.results import WaveformExample
+
+_FINE = 8  # points of the drawn fit a sample
+
+
+def waveform_examples(
+    data: CampaignData,
+    returns: dict[tuple[int, int, str], TargetReturns],
+    observations: list[LidarPanelObservation],
+) -> list[WaveformExample]:
+    """The packet nearest to the panel's mean amplitude, of the first panel of each nominal class that has waveforms."""
+    nominal = {t.id: t.nominal_reflectance_percent for t in data.targets if t.kind == "panel"}
+    folders = {s.folder.number: s.folder for s in data.sorties}
+    found: dict[float, WaveformExample] = {}
+    for o in observations:
+        level = nominal.get(o.panel)
+        if level is None or level in found or not o.from_waveform or data.lidar is None:
+            continue
+        rows = returns[o.sortie, o.strip, o.panel].returns
+        with_packet = np.flatnonzero((rows.packet >= 0) & (rows.number_of_returns == 1))
+        if with_packet.size == 0:
+            continue
+        row = with_packet[np.argmin(np.abs(rows.amplitude[with_packet] - o.amplitude_dn))]
+        reader = StripReader(folders[o.sortie].strip_las(o.strip))
+        sampling_ns = reader.sampling_ps / 1000.0
+        samples = reader.waveforms(rows.packet[row : row + 1])[0].astype(np.float64)
+        echoes = decompose(samples[None], sampling_ns, echo_fwhm_ns=data.lidar.echo_fwhm_ns)
+        time = np.arange(samples.size) * sampling_ns
+        fine = np.arange(samples.size * _FINE) * (sampling_ns / _FINE)
+        fit = np.full(fine.size, echoes.packet_baseline_dn[0])
+        for amplitude, centre, fwhm in zip(echoes.amplitude_dn, echoes.centre_ns, echoes.fwhm_ns, strict=True):
+            fit += amplitude * np.exp(-0.5 * ((fine - centre) * FWHM_PER_SIGMA / fwhm) ** 2)
+        found[level] = WaveformExample(
+            label=f"{o.panel}, {level:g} %",
+            nominal_percent=level,
+            time_ns=time,
+            samples_dn=samples,
+            fit_time_ns=fine,
+            fit_dn=fit,
+        )
+    return [found[level] for level in sorted(found)]
