@@ -15,6 +15,7 @@ from types import TracebackType
 from typing import BinaryIO, Self
 
 import laspy  # type: ignore[import-untyped]
+import lazrs  # type: ignore[import-untyped]
 import numpy as np
 
 from campaign.atomic import readable_os_errors
@@ -176,6 +177,10 @@ class StripWriter:
         try:
             with readable_os_errors(self._targets[0]):
                 yield
+        except lazrs.LazrsError as error:  # hides the system's own error
+            self._remove()
+            remedy = "is there space left on the disk?"
+            raise CampaignError("cannot be written", where=str(self._targets[2]), got=error, remedy=remedy) from None
         except BaseException:
             self._remove()
             raise

@@ -1,6 +1,8 @@
 """LAS strips: bit-exact round trips, other people's readers and files, hostile files."""
 
 import dataclasses
+import errno
+import io
 import itertools
 import resource
 import struct
@@ -149,6 +151,30 @@ def test_a_full_disk_while_streaming(tmp_path: Path, hand: ModuleType) -> None:
         writer._files[1].close()
         writer._files[1] = open("/dev/full", "wb")  # noqa: SIM115
         writer.write(hand.make_returns(100, 500), np.zeros((5000, 64), np.uint16))
+    assert list(tmp_path.iterdir()) == []
+
+
+class FullDisk(io.BytesIO):
+    """A file on a disk that is full after 20 000 bytes."""
+
+    def write(self, data: object) -> int:
+        if self.tell() > 20_000:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(data)  # type: ignore[arg-type]
+
+
+def test_a_full_disk_under_the_compressed_points(tmp_path: Path, hand: ModuleType) -> None:
+    """Rationale: lazrs turns the system's error into its own. Expected: one line that still asks for space, nothing left."""
+    las, points = strip(tmp_path)
+    with (
+        pytest.raises(CampaignError, match="space left on the disk"),
+        StripWriter(las, points, hand.make_spec()) as writer,
+    ):
+        writer._laz = laspy.LasWriter(
+            FullDisk(), writer._laz.header, do_compress=True, laz_backend=laspy.LazBackend.LazrsParallel, closefd=False
+        )
+        for _ in range(30):
+            writer.write(hand.make_returns(5000, 1), np.zeros((1, 64), np.uint16))
     assert list(tmp_path.iterdir()) == []
 
 
