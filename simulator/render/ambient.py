@@ -16,7 +16,7 @@ from campaign.config import Camera
 from scenes.model import Scene, SunSky
 from scenes.sunsky import band_irradiance
 from simulator.render import start
-from simulator.render.paths import AmbientTable, Surfaces, gathered, light_from, surfaces
+from simulator.render.paths import PAIRS, AmbientTable, Surfaces, gathered, light_from, surfaces
 from simulator.render.sampling import PixelSampler
 from simulator.render.scene import RenderScene
 
@@ -125,7 +125,7 @@ def _coefficients(
     place = flat.node.reshape(-1, 3) + LIFT_M * normal
     point = mi.Point3f(*(mi.Float(np.ascontiguousarray(c, np.float32)) for c in place.T))
     upward = mi.Vector3f(*(mi.Float(np.ascontiguousarray(c, np.float32)) for c in normal.T))
-    sampler = PixelSampler(dr.arange(mi.UInt32, len(place)), key)
+    sampler = PixelSampler(dr.arange(mi.UInt32, len(place)), key, pairs=2 + PAIRS * (bounces + 1))
 
     def body(sample: Any, *total: Any) -> tuple[Any, ...]:
         value = gathered(render_scene, doubled, light, bounces, 0, sampler, sample, point, upward, mi.Bool(True))

@@ -28,6 +28,7 @@ import mitsuba as mi  # noqa: E402
 
 SUN_RADIUS_RAD = 0.00465
 LIFT_M = 2e-4  # start of a secondary ray above its surface; single precision leaves 5e-6 m at 80 m
+PAIRS = 4  # of random numbers a vertex takes, from the sequence's pair 2 on
 SKY_SHARE = 0.98  # of the samples of a level surface; the rest guards tilted ones against the horizon
 
 
@@ -177,21 +178,24 @@ def sun_light(
     return weight
 
 
-def sample_hemisphere(sky: sky_table.SkyTable, normal: Any, u: Any, v: Any, choice: Any) -> tuple[Any, Any, Any]:
+def sample_hemisphere(
+    sky: sky_table.SkyTable, normal: Any, of_normal: tuple[Any, Any], of_sky: tuple[Any, Any], choice: Any
+) -> tuple[Any, Any, Any]:
     """Direction above a surface, cosine / (pi * density) of it, and the sky's relative radiance from there (-1: ground).
 
     A cosine-weighted direction about the normal is kept where it points below the horizon (it sees the ground). Above it, it
     is exchanged for one of the sky's with a probability that is nearly one on level surfaces. The fraction of the
-    cosine-weighted hemisphere below the horizon is (1 - n_z) / 2, so the density of the mixture is known.
+    cosine-weighted hemisphere below the horizon is (1 - n_z) / 2, so the density of the mixture is known. The two directions
+    need numbers of their own: the first one's decide whether the second is asked.
     """
-    local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u, v))
+    local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(*of_normal))
     about_normal = mi.Frame3f(normal).to_world(local)
     share = SKY_SHARE * dr.square(dr.maximum(normal.z, 0))
     above = about_normal.z > 0
-    of_sky = above & (choice < share)
-    direction, relative = sky_table.sample(sky, u, v)
-    direction = dr.select(of_sky, direction, about_normal)
-    relative = rarely(above & ~of_sky, lambda: sky_table.relative_radiance(sky, direction), relative)
+    exchanged = above & (choice < share)
+    direction, relative = sky_table.sample(sky, *of_sky)
+    direction = dr.select(exchanged, direction, about_normal)
+    relative = rarely(above & ~exchanged, lambda: sky_table.relative_radiance(sky, direction), relative)
     cosine = dr.dot(normal, direction)
     density = dr.select(
         above,
@@ -229,10 +233,10 @@ def gathered(
     choice: Any = None,
 ) -> list[Any]:
     """One sample of the irradiance / pi that the sky and other surfaces send to a point, in every band; no direct sun."""
-    u, v = sampler.pair(sample, 3 + 3 * vertex)
+    of_normal, of_sky = (sampler.pair(sample, k + PAIRS * vertex) for k in (3, 4))
     if choice is None:
-        choice = sampler.pair(sample, 4 + 3 * vertex)[0]
-    direction, weight, relative = sample_hemisphere(light.sky, normal, u, v, choice)
+        choice = sampler.pair(sample, 5 + PAIRS * vertex)[0]
+    direction, weight, relative = sample_hemisphere(light.sky, normal, of_normal, of_sky, choice)
     following = mi.Ray3f(point + normal * LIFT_M, direction)
     going = active & (weight > 0)
     ambient = escaped(materials, light, relative)
@@ -273,7 +277,7 @@ def outgoing(
     """One sample of the radiance that a surface sends back along a ray that met it, in every band."""
     here = surface(render_scene, materials, ray, found, active)
     # -- sun
-    sun = sun_light(render_scene, materials, light, here, ray.d, active, *sampler.pair(sample, 2 + 3 * vertex))
+    sun = sun_light(render_scene, materials, light, here, ray.d, active, *sampler.pair(sample, 2 + PAIRS * vertex))
     # -- sky and other surfaces, out of the table where it has the place
     cached = mi.Bool(False)
     if table is not None:

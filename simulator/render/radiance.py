@@ -22,6 +22,7 @@ from simulator.render import start
 from simulator.render.ambient import ambient_table
 from simulator.render.paths import (
     LIFT_M,
+    PAIRS,
     AmbientTable,
     Light,
     Surfaces,
@@ -43,7 +44,7 @@ import mitsuba as mi  # noqa: E402
 
 RENDER_STREAM = 9
 EDGE_FACTOR = 8  # pixels at an edge inside a target's box get this many times its samples
-EDGE_REACH_PX = 2  # how far from an edge: point spread and motion blur
+BESIDE_FACTOR = 2  # and their neighbours, which an edge reaches through the point spread and motion blur
 MAX_SAMPLES = 4096
 BLOCK_PX = 8  # edge of the blocks in which pixels inside boxes are taken
 TILE = 1 << 20  # lanes in flight
@@ -121,11 +122,12 @@ def render_frame(
     for _, u0, v0, u1, v1 in regions:
         inside[v0:v1, u0:u1] = True
     target_samples = max(settings.samples, settings.target_samples)
-    edges = _edges(job, inside, tile)
+    edges, beside = _edges(job, inside, tile)
     outside = ~inside
     for mask, samples in (
         (outside, settings.samples),
-        (inside & ~edges, target_samples),
+        (inside & ~edges & ~beside, target_samples),
+        (beside, min(MAX_SAMPLES, BESIDE_FACTOR * target_samples)),
         (edges, min(MAX_SAMPLES, EDGE_FACTOR * target_samples)),
     ):
         pixels = np.flatnonzero(mask).astype(np.uint32)
@@ -156,8 +158,8 @@ def _view(camera: Camera, pose: FramePose) -> _View:
     return view
 
 
-def _edges(job: _Job, inside: np.ndarray, tile: int) -> np.ndarray:
-    """Pixels inside the boxes near an edge of what is seen or of a shadow, (height, width) bool.
+def _edges(job: _Job, inside: np.ndarray, tile: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels inside the boxes at an edge of what is seen or of a shadow, and their neighbours, (height, width) bool each.
 
     Found by one ray through each pixel's centre, the same for any seed: choosing by the samples themselves would bias them.
     """
@@ -168,23 +170,15 @@ def _edges(job: _Job, inside: np.ndarray, tile: int) -> np.ndarray:
         flat[part] = _identity(job, part)
     seen = flat.reshape(inside.shape)
     edges = np.zeros(inside.shape, bool)
-    for axis in (0, 1):
-        a, b = (seen[:-1], seen[1:]) if axis == 0 else (seen[:, :-1], seen[:, 1:])
-        differs = (a != b) & (a >= 0) & (b >= 0)
-        if axis == 0:
-            edges[:-1] |= differs
-            edges[1:] |= differs
-        else:
-            edges[:, :-1] |= differs
-            edges[:, 1:] |= differs
-    for _ in range(EDGE_REACH_PX - 1):
-        grown = edges.copy()
-        grown[1:] |= edges[:-1]
-        grown[:-1] |= edges[1:]
-        grown[:, 1:] |= edges[:, :-1]
-        grown[:, :-1] |= edges[:, 1:]
-        edges = grown
-    return np.asarray(edges & inside)
+    for low, high in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        differs = (seen[low] != seen[high]) & (seen[low] >= 0) & (seen[high] >= 0)
+        edges[low] |= differs
+        edges[high] |= differs
+    beside = edges.copy()
+    for low, high in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        beside[low] |= edges[high]
+        beside[high] |= edges[low]
+    return edges, np.asarray(beside & ~edges & inside)
 
 
 # --------------------------------------------------------------------------------------------------------- camera ray
@@ -241,7 +235,7 @@ def _trace(job: _Job, pixels: np.ndarray, samples: int) -> np.ndarray:
     pixel = mi.UInt32(pixels)
     count = mi.UInt32(samples)
     dr.make_opaque(count)
-    sampler = PixelSampler(pixel, job.key)
+    sampler = PixelSampler(pixel, job.key, pairs=2 + PAIRS * (job.bounces + 1))
 
     def body(sample: Any, *total: Any) -> tuple[Any, ...]:
         value = _sample(job, pixel, sampler, sample)

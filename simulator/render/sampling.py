@@ -60,15 +60,19 @@ def _unit(bits: Any) -> Any:
 class PixelSampler:
     """The sample sequence of one pixel for each lane."""
 
-    def __init__(self, pixel: Any, key: tuple[Any, Any]) -> None:
-        self._pixel = mix(mi.UInt32(pixel) + key[0]) ^ key[1]
+    def __init__(self, pixel: Any, key: tuple[Any, Any], pairs: int) -> None:
+        own = mix(mi.UInt32(pixel) + key[0]) ^ key[1]
+        self._seeds = []
+        for pair in range(pairs):
+            seed = mix(own + ((pair * 0x9E3779B9) & 0xFFFFFFFF))
+            self._seeds.append((seed, mix(seed + 0x68E31DA4), mix(seed + 0xB5297A4D)))
 
     def pair(self, sample: Any, pair: int) -> tuple[Any, Any]:
         """Two numbers in [0, 1) of a sample (UInt32); `pair` numbers the dimensions."""
-        seed = mix(self._pixel + ((pair * 0x9E3779B9) & 0xFFFFFFFF))
+        seed, seed_x, seed_y = self._seeds[pair]
         index = dr.brev(_scramble_reversed(dr.brev(sample), seed))
-        x = dr.brev(_scramble_reversed(index, mix(seed + 0x68E31DA4)))
-        y = dr.brev(_scramble_reversed(_pascal(index), mix(seed + 0xB5297A4D)))
+        x = dr.brev(_scramble_reversed(index, seed_x))
+        y = dr.brev(_scramble_reversed(_pascal(index), seed_y))
         return _unit(x), _unit(y)
 
 
