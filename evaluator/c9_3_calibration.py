@@ -195,10 +195,30 @@ def held_out_errors(problem: Problem, solution: MountingSolution, folds: int = _
     return dict(sorted(out.items()))
 
 
-def bootstrap_mean(values: np.ndarray, draws: int = _DRAWS) -> tuple[float, float, float]:
-    """(standard deviation, 2.5 %, 97.5 %) of the mean over targets, by drawing targets anew; the draws are fixed."""
+def bootstrap_mean(table: list[Residual], strips: list[int], draws: int = _DRAWS) -> tuple[float, float, float]:
+    """(standard deviation, 2.5 %, 97.5 %) of P_m by drawing targets and, independently, strips anew; the draws are fixed.
+
+    Navigation errors are common to all targets of a strip, so drawing targets alone would leave most of the spread out.
+
+    Parameters
+    ----------
+    table : list of Residual
+    strips : list of int
+        Strip of each row.
+    """
+    targets = sorted({r.target for r in table})
+    groups = sorted({(r.sortie, s) for r, s in zip(table, strips, strict=True)})
+    total, count = np.zeros((2, len(targets), len(groups)))
+    for r, s in zip(table, strips, strict=True):
+        at = targets.index(r.target), groups.index((r.sortie, s))
+        total[at] += r.error_px
+        count[at] += 1.0
     rng = np.random.default_rng(41450)
-    means = values[rng.integers(0, values.size, (draws, values.size))].mean(axis=1)
+    by_target = rng.multinomial(len(targets), np.full(len(targets), 1.0 / len(targets)), size=draws)
+    by_group = rng.multinomial(len(groups), np.full(len(groups), 1.0 / len(groups)), size=draws)
+    seen = by_group @ count.T
+    weight = by_target * (seen > 0)
+    means = np.sum(weight * (by_group @ total.T) / np.maximum(seen, 1.0), axis=1) / np.maximum(weight.sum(axis=1), 1)
     low, high = np.quantile(means, [0.025, 0.975])
     return float(means.std(ddof=1)), float(low), float(high)
 
@@ -233,7 +253,8 @@ def evaluate_calibration(problem: Problem, solution: MountingSolution) -> Calibr
     if not per_target:
         raise EvaluationError("no target was seen by both sensors in one sortie")
     values = np.array(list(per_target.values()))
-    std, low, high = bootstrap_mean(values)
+    strip_of = {(m.sortie, m.image): m.strip for m in kept.marks}
+    std, low, high = bootstrap_mean(table, [strip_of[r.sortie, r.image] for r in table])
     per_sortie = {
         str(s): calibration_error(np.array(list(target_errors([r for r in table if r.sortie == s]).values())))
         for s in sorted({r.sortie for r in table})
@@ -249,7 +270,7 @@ def evaluate_calibration(problem: Problem, solution: MountingSolution) -> Calibr
         std=std,
         low_95=low,
         high_95=high,
-        method=f"bootstrap over targets, {_DRAWS} draws",
+        method=f"bootstrap over targets and strips, {_DRAWS} draws",
         companions={
             "per_sortie_px": per_sortie,
             "held_out_px": calibration_error(np.array(list(held.values()))) if held else None,

@@ -53,10 +53,10 @@ def picture(
     noise: float = 0.006,
     blur_px: float = 0.45,
     offset: tuple[float, float] = (20.0, -15.0),
-    size: int = 150,
+    size: int = 116,
 ) -> tuple[np.ndarray, np.ndarray, MarkView]:
     """(picture, true centre, prediction). Nadir camera turned by `turn_deg`; the prediction is off by `offset` and 0.5 degrees."""
-    fine = 6
+    fine = 8
     a, t = np.radians(view_azimuth_deg), np.tan(np.radians(view_deg))
     camera = np.array([height * t * np.sin(a), height * t * np.cos(a), height])
     c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
@@ -107,21 +107,21 @@ def sun_at(elevation_deg: float, azimuth_deg: float) -> np.ndarray:
 @pytest.mark.parametrize("view_deg", [0.0, 15.0, 30.0, 40.0])
 def test_centre_is_unbiased_for_all_suns(view_deg: float) -> None:
     """Rationale: shadows and the funnel cover up to a third of the mark; a centroid would move by more than a pixel.
-    Expected: mean error zero over sun azimuths. Tolerance: bias 0.05 px on the mean of twelve pictures, spread 0.1 px
+    Expected: mean error zero over sun azimuths. Tolerance: bias 0.05 px on the mean of eight pictures, spread 0.1 px
     (issue: bias <= 0.05 px over sun azimuths and view angles of 0-40 degrees)."""
     rng = np.random.default_rng(int(view_deg))
     errors, z = [], []
-    for k in range(12):
-        sun = sun_at(50.0 + 2.0 * k, 30.0 * k)
+    for k in range(8):
+        sun = sun_at(48.0 + 3.0 * k, 45.0 * k)
         image, centre, view = picture(rng, view_deg, 37.0 + 61.0 * k, sun, offset=(20.0 - 3 * k, -15.0 + 2 * k))
-        found = find_mark(image, view, 40.0)
+        found = find_mark(image, view, 30.0)
         assert isinstance(found, MarkFit), (k, found)
         errors.append(found.uv_px - centre)
         z.append(errors[-1] / np.sqrt(np.diag(found.covariance_px2)))
     values = np.array(errors)
     assert np.abs(values.mean(axis=0)).max() < 0.05, values
     assert values.std() < 0.1, values
-    assert 0.2 < np.std(z) < 1.6, z  # below 1: no standard deviation under 0.01 px is stated
+    assert 0.4 < np.std(z) < 1.6, z
 
 
 def test_no_mark_is_refused() -> None:
@@ -129,9 +129,9 @@ def test_no_mark_is_refused() -> None:
     rng = np.random.default_rng(3)
     image, _, view = picture(rng, 10.0, 0.0, sun_at(60.0, 100.0))
     ground = 0.2 + 0.02 * scipy.ndimage.gaussian_filter(rng.standard_normal(image.shape), 1.0)
-    assert isinstance(find_mark(ground, view, 40.0), str)
-    ground[40:90, 50:100] = 0.9  # a panel: straight edges and one corner in view of the template
-    assert isinstance(find_mark(ground, view, 40.0), str)
+    assert isinstance(find_mark(ground, view, 30.0), str)
+    ground[30:80, 40:90] = 0.9  # a panel: straight edges and one corner in view of the template
+    assert isinstance(find_mark(ground, view, 30.0), str)
 
 
 def test_mark_at_the_image_border_is_refused() -> None:
