@@ -4,6 +4,7 @@ truth/truth.json      Truth below, and truth/'s own files with SHA-256
 truth/campaign.toml   the configuration as run
 truth/trajectory.npz  no pickle: the true Trajectory fields of every sortie, prefixed sNN_
 truth/marks.csv       target, image, u_px, v_px, visible: true pixel of every mark's centre in every image
+truth/scene.ply         the true surfaces, world frame
 truth/returns_SS_LL.npz   per return of sortie SS strip LL: range_m, normal, target index, face
 """
 

@@ -51,8 +51,8 @@ def true_mountings(config: Config) -> tuple[TrueMounting, TrueMounting]:
 
     def record(mounting: SensorMounting, boresight: Vector3, lever: Vector3) -> TrueMounting:
         return TrueMounting(
-            rotation=tuple(tuple(float(x) for x in row) for row in mounting.rotation),  # type: ignore[arg-type]
-            lever_arm_m=tuple(float(x) for x in mounting.lever_arm_m),  # type: ignore[arg-type]
+            rotation=tuple(tuple(float(x) for x in row) for row in mounting.rotation),
+            lever_arm_m=tuple(float(x) for x in mounting.lever_arm_m),
             boresight_deg=boresight,
             lever_arm_error_m=lever,
         )
@@ -129,7 +129,7 @@ def rig_sheet(config: Config) -> Rig:
         return MountingSheet(
             lever_arm_m=mounting.lever_arm_m,
             boresight_deg=mounting.boresight_deg,
-            axes=axes,  # type: ignore[arg-type]
+            axes=axes,
             boresight_std_deg=platform.mounting_boresight_std_deg,
             lever_arm_std_m=platform.mounting_lever_arm_std_m,
         )

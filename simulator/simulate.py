@@ -6,7 +6,7 @@ Rendering and ray casting keep both cores busy; noise and files of the frame bef
 import hashlib
 import os
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -17,15 +17,12 @@ import numpy as np
 from campaign import images, las, manifest, records, sensors, survey, trajectory
 from campaign import truth as truth_files
 from campaign.config import Config
-from campaign.errors import ConfigError
 from campaign.folder import CampaignFolder, SortieFolder
-from campaign.load import dump_toml
 from scenes.build import build_scene
 from scenes.model import Scene, SunSky
-from scenes.spectra import band_reflectance, reflectance_at
 from scenes.sunsky import sun_sky
 from simulator import camera as camera_maths
-from simulator import paperwork, rig, sensor
+from simulator import paperwork, record_truth, rig, sensor
 from simulator.flight import Sortie, fly
 from simulator.frames import SiteFrame, rpy_from_rotation
 from simulator.lidar import simulate_strip
@@ -97,7 +94,8 @@ def simulate_campaign(
         _fly_camera(world, place, progress)
     if "lidar" in only:
         _fly_lidar(world, place, progress)
-    _write_truth(world, out)
+    motions = {sortie.number: sortie.motion for sortie in world.sorties}
+    record_truth.write(config, world.scene, motions, world.frame, out)
     _write_manifest(world, out)
 
 
@@ -143,7 +141,7 @@ def _fly_camera(world: Range, place: CampaignFolder, progress: Report) -> None:
     for sortie in world.sorties:
         place.sortie(sortie.number).images.mkdir(parents=True)
     progress("camera", 0, len(frames))
-    marks = ["target,image,u_px,v_px,visible"]
+    marks: list[truth_files.TrueMark] = []
     waiting: deque[Future[None]] = deque()
     with ThreadPoolExecutor(1) as writer:
         for done, (sortie, estimated, strip, index, time) in enumerate(frames, start=1):
@@ -151,7 +149,8 @@ def _fly_camera(world: Range, place: CampaignFolder, progress: Report) -> None:
             name = f"s{sortie.number:02d}_l{strip.number:02d}_{index + 1:03d}"
             pose = camera_maths.frame_pose(sortie.motion, rig.true_camera(config), time)
             radiance = _radiance(world, pose, strip, index, time)
-            marks += _mark_rows(world, pose, f"sorties/{sortie.number:02d}/images/{name}.tif")
+            image = f"sorties/{sortie.number:02d}/images/{name}.tif"
+            marks += record_truth.marks_in(config.camera, world.scene, pose, image)
             tags = _tags(world, estimated, time + config.faults.camera_clock_s)
             noise = generator(config.seed, Stream.CAMERA_NOISE, sortie.number, strip.number, index)
             while len(waiting) >= WAITING_FRAMES:
@@ -179,7 +178,7 @@ def _fly_camera(world: Range, place: CampaignFolder, progress: Report) -> None:
             ],
         )
     place.truth.mkdir(exist_ok=True)
-    (place.truth / "marks.csv").write_text("\n".join(marks) + "\n", encoding="utf-8")
+    truth_files.write_marks(place.truth / "marks.csv", marks)
 
 
 def _radiance(world: Range, pose: camera_maths.FramePose, strip: Strip, index: int, time: float) -> np.ndarray:
@@ -252,17 +251,6 @@ def _tags(world: Range, estimated: Motion, stamped_s: float) -> images.ImageTags
     )
 
 
-def _mark_rows(world: Range, pose: camera_maths.FramePose, image: str) -> Iterable[str]:
-    camera = world.config.camera
-    targets = world.scene.targets
-    pixel, depth = camera_maths.project(camera, pose, np.stack([target.mark_m for target in targets]))
-    inside = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < [camera.width_px, camera.height_px]).all(axis=1)
-    return [
-        f"{target.id},{image},{uv[0]:.4f},{uv[1]:.4f},{int(seen)}"
-        for target, uv, seen in zip(targets, pixel, inside, strict=True)
-    ]
-
-
 def _fly_lidar(world: Range, place: CampaignFolder, progress: Report) -> None:
     config = world.config
     site = config.site
@@ -283,7 +271,7 @@ def _fly_lidar(world: Range, place: CampaignFolder, progress: Report) -> None:
             height_epsg=site.height_epsg,
             creation_date=config.campaign.start_time[:10],
             system_identifier=config.lidar.name[:32],
-            offset_m=tuple(float(np.round(v, -2)) for v in origin),  # type: ignore[arg-type]
+            offset_m=(round(float(origin[0]), -2), round(float(origin[1]), -2), 0.0),
             sample_count=config.lidar.samples,
             sampling_ps=round(config.lidar.sampling_ns * 1000.0),
             bit_depth=16,
@@ -313,68 +301,9 @@ def _fly_lidar(world: Range, place: CampaignFolder, progress: Report) -> None:
             if waiting is not None:
                 waiting.result()
         truth_files.write_true_returns(
-            place.truth / f"returns_{sortie.number:02d}_{strip.number:02d}.npz", _joined(known)
+            place.truth / f"returns_{sortie.number:02d}_{strip.number:02d}.npz", record_truth.joined(known)
         )
         progress("lidar", done, len(strips))
-
-
-def _joined(parts: list[truth_files.TrueReturns]) -> truth_files.TrueReturns:
-    if not parts:
-        raise ConfigError("no pulse of a strip gave an echo", remedy="check flight.heights_m and lidar.pulse_energy_uj")
-    return truth_files.TrueReturns(
-        range_m=np.concatenate([p.range_m for p in parts]),
-        normal_world=np.concatenate([p.normal_world for p in parts]),
-        target=np.concatenate([p.target for p in parts]),
-        face=np.concatenate([p.face for p in parts]),
-    )
-
-
-def _write_truth(world: Range, out: Path) -> None:
-    config = world.config
-    folder = out / "truth"
-    folder.mkdir(exist_ok=True)
-    (folder / "campaign.toml").write_text(dump_toml(config), encoding="utf-8")
-    arrays = {
-        f"s{sortie.number:02d}_{name}": value
-        for sortie in world.sorties
-        for name, value in asdict(trajectory_of(sortie.motion, world.frame, config)).items()
-        if not name.endswith("_std_m") and not name.endswith("_std_rad")
-    }
-    with (folder / "trajectory.npz").open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
-    camera, lidar = rig.true_mountings(config)
-    targets = []
-    for target in world.scene.targets:
-        panel = target.spectrum if target.kind == "panel" else None
-        targets.append(
-            truth_files.TrueTarget(
-                id=target.id,
-                kind=target.kind,
-                mark_world_m=tuple(float(v) for v in target.mark_m),  # type: ignore[arg-type]
-                vertex_world_m=None if target.vertex_m is None else tuple(float(v) for v in target.vertex_m),  # type: ignore[arg-type]
-                band_reflectance=None
-                if panel is None
-                else tuple(float(band_reflectance(panel, b.centre_nm, b.fwhm_nm)) for b in config.camera.bands),
-                laser_reflectance=None if panel is None else float(reflectance_at(panel, config.lidar.wavelength_nm)),
-            )
-        )
-    faults = config.faults
-    truth_files.write_truth(
-        out,
-        truth_files.Truth(
-            seed=config.seed,
-            camera=camera,
-            lidar=lidar,
-            lens=config.camera.lens,
-            camera_clock_s=faults.camera_clock_s,
-            lidar_clock_s=faults.lidar_clock_s,
-            range_offset_m=faults.range_offset_m,
-            range_scale=faults.range_scale,
-            lidar_gain=faults.lidar_gain,
-            camera_gain=faults.camera_gain,
-            targets=tuple(targets),
-        ),
-    )
 
 
 def _write_manifest(world: Range, out: Path) -> None:

@@ -11,8 +11,8 @@ from scenes.sunsky import band_irradiance, sun_sky
 from simulator.sensor import (
     FixedPattern,
     electrons_per_radiance,
-    exposure_gain,
     expose,
+    exposure_gain,
     fixed_pattern,
     preview,
     vignetting,

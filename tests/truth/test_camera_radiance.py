@@ -185,7 +185,7 @@ def corner_px(picture: np.ndarray) -> np.ndarray:
     """
     white, black = picture[2:14, -14:-2].mean(), picture[-14:-2, 2:14].mean()
     share = (picture - black) / (white - black)
-    height, width = share.shape
+    _, width = share.shape
     rows, columns = slice(4, 14), slice(width - 14, width - 4)
     u = width - share[rows].sum(axis=1).mean()
     v = share[:, columns].sum(axis=0).mean()
@@ -284,7 +284,7 @@ def test_table_of_inner_light_is_not_biased(
     parts = {"mark": np.hypot(x, y) < 0.14 * scale}
     for name, along, beside in (("right", x, y), ("left", -x, y), ("low", y, x), ("high", -y, x)):
         parts[name] = (along > 0.24 * scale) & (along < 0.38 * scale) & (np.abs(beside) < 0.8 * along)
-    tolerance = 3e-3 * without[parts["left"]].mean()
+    tolerance = 3e-3 * float(without[parts["left"]].mean())
     for name, part in parts.items():
         assert part.sum() > 100
         assert with_table[part].mean(axis=0) == pytest.approx(without[part].mean(axis=0), abs=tolerance), name
