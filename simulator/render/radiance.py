@@ -36,6 +36,7 @@ from simulator.render.paths import (
 )
 from simulator.render.sampling import PixelSampler, filter_offset, filter_quantiles, frame_words
 from simulator.render.scene import RenderScene
+from simulator.render.spread import fold, halo_px
 
 start()
 
@@ -43,10 +44,8 @@ import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
 RENDER_STREAM = 9
-EDGE_FACTOR = 8  # pixels at an edge inside a target's box get this many times its samples
-BESIDE_FACTOR = 2  # and their neighbours, which an edge reaches through the point spread and motion blur
+EDGE_FACTOR = 4  # pixels at an edge inside a target's box get this many times its samples
 MAX_SAMPLES = 4096
-BLOCK_PX = 8  # edge of the blocks in which pixels inside boxes are taken
 TILE = 1 << 20  # lanes in flight
 Region = tuple[int, int, int, int, int]
 
@@ -62,6 +61,7 @@ class _View:
     axes: list[Any]  # columns of world_from_camera at mid-exposure
     rate: Any  # Vector3f, camera axes [rad/s]
     filter: Any  # Float, quantiles of the pixel's response
+    halo: int  # pixels round the image that are numbered too
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +93,8 @@ def render_frame(
     Parameters
     ----------
     settings : Render
-        `samples` for every pixel, `target_samples` inside the regions, EDGE_FACTOR times as many at edges inside them.
+        `samples` for every pixel, `target_samples` inside the regions (shared out over sub-pixels), EDGE_FACTOR times as many
+        at edges inside them.
     seed, frame_key : int, tuple of int
         Of the samples; the same words give the same bytes.
     regions : list of (target index, u0, v0, u1, v1)
@@ -117,28 +118,43 @@ def render_frame(
         key=(mi.UInt32(words[0]), mi.UInt32(words[1])),
     )
     dr.make_opaque(job.key)
-    picture = np.empty((camera.width_px * camera.height_px, len(camera.bands)), np.float32)
+    halo = job.view.halo
     inside = np.zeros((camera.height_px, camera.width_px), bool)
     for _, u0, v0, u1, v1 in regions:
         inside[v0:v1, u0:u1] = True
-    target_samples = max(settings.samples, settings.target_samples)
-    edges, beside = _edges(job, inside, tile)
-    outside = ~inside
-    for mask, samples in (
-        (outside, settings.samples),
-        (inside & ~edges & ~beside, target_samples),
-        (beside, min(MAX_SAMPLES, BESIDE_FACTOR * target_samples)),
-        (edges, min(MAX_SAMPLES, EDGE_FACTOR * target_samples)),
-    ):
-        pixels = np.flatnonzero(mask).astype(np.uint32)
-        if mask is not outside:
-            # Neighbouring lanes take neighbouring pixels both ways: their rays stay together.
-            row, column = np.divmod(pixels, camera.width_px)
-            pixels = pixels[np.lexsort((column // BLOCK_PX, row // BLOCK_PX))]
-        for first in range(0, len(pixels), tile):
-            part = pixels[first : first + tile]
-            picture[part] = _trace(job, part, samples)
-    return picture.reshape(camera.height_px, camera.width_px, len(camera.bands))
+    # Pixels are numbered in the image and its halo, so that light from beyond the image's border is a place like any other.
+    picture = np.zeros((camera.height_px + 2 * halo, camera.width_px + 2 * halo, len(camera.bands)), np.float32)
+    number = np.arange(picture.shape[0] * picture.shape[1], dtype=np.uint32).reshape(picture.shape[:2])
+    image = np.s_[halo : halo + camera.height_px, halo : halo + camera.width_px]
+    outside = number[image][~inside]
+    picture.reshape(-1, picture.shape[2])[outside] = _trace(job, outside, settings.samples, 1, tile)
+    rendered = picture[image]
+    if regions:
+        _fill_boxes(job, rendered, regions, max(settings.samples, settings.target_samples), number, tile)
+    return np.ascontiguousarray(rendered)
+
+
+def _fill_boxes(
+    job: _Job, rendered: np.ndarray, regions: list[Region], samples: int, number: np.ndarray, tile: int
+) -> None:
+    """Render the targets' boxes by sub-pixels and write them into the picture."""
+    halo, sigma = job.view.halo, job.view.camera.psf_sigma_px
+    split = max(k for k in (1, 2, 4) if k * k <= samples)
+    wanted = np.zeros(number.shape, bool)
+    for _, u0, v0, u1, v1 in regions:
+        wanted[v0 : v1 + 2 * halo, u0 : u1 + 2 * halo] = True
+    edges = _edges(job, number, wanted, tile)
+    place = np.full(number.shape, -1, np.int64)
+    place[wanted] = np.arange(np.count_nonzero(wanted))
+    sub = np.empty((np.count_nonzero(wanted), split, split, rendered.shape[2]), np.float32)
+    for mask, count in ((wanted & ~edges, samples), (edges, min(MAX_SAMPLES, EDGE_FACTOR * samples))):
+        pixels = number[mask]
+        sub[place[mask]] = _trace(job, pixels, count // split**2, split, tile).reshape(len(pixels), *sub.shape[1:])
+    for _, u0, v0, u1, v1 in regions:
+        box = sub[place[v0 : v1 + 2 * halo, u0 : u1 + 2 * halo]]
+        height, width = box.shape[:2]
+        fine = box.swapaxes(1, 2).reshape(height * split, width * split, -1)
+        rendered[v0:v1, u0:u1] = fold(fine, sigma, split)
 
 
 # ---------------------------------------------------------------------------------------------------------------- set-up
@@ -153,32 +169,31 @@ def _view(camera: Camera, pose: FramePose) -> _View:
         axes=[mi.Vector3f(*map(float, column)) for column in pose.world_from_camera.T],
         rate=mi.Vector3f(*map(float, pose.angular_rate_camera_rad_s)),
         filter=mi.Float(filter_quantiles(camera.psf_sigma_px).astype(np.float32)),
+        halo=halo_px(camera.psf_sigma_px),
     )
     dr.make_opaque(view.position, view.velocity, view.axes, view.rate, view.filter)
     return view
 
 
-def _edges(job: _Job, inside: np.ndarray, tile: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels inside the boxes at an edge of what is seen or of a shadow, and their neighbours, (height, width) bool each.
+def _edges(job: _Job, number: np.ndarray, wanted: np.ndarray, tile: int) -> np.ndarray:
+    """Wanted pixels at an edge of what is seen or of a shadow: one of the eight neighbours sees something else.
 
     Found by one ray through each pixel's centre, the same for any seed: choosing by the samples themselves would bias them.
     """
-    pixels = np.flatnonzero(inside).astype(np.uint32)
-    flat = np.full(inside.size, -1, np.int32)
-    for first in range(0, len(pixels), tile):
-        part = pixels[first : first + tile]
-        flat[part] = _identity(job, part)
-    seen = flat.reshape(inside.shape)
-    edges = np.zeros(inside.shape, bool)
-    for low, high in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+    seen = np.full(number.shape, -1, np.int32)
+    pixels = number[wanted]
+    seen[wanted] = np.concatenate([_identity(job, pixels[k : k + tile]) for k in range(0, len(pixels), tile)])
+    edges = np.zeros(number.shape, bool)
+    for low, high in (
+        (np.s_[:-1], np.s_[1:]),
+        (np.s_[:, :-1], np.s_[:, 1:]),
+        (np.s_[:-1, :-1], np.s_[1:, 1:]),
+        (np.s_[:-1, 1:], np.s_[1:, :-1]),
+    ):
         differs = (seen[low] != seen[high]) & (seen[low] >= 0) & (seen[high] >= 0)
         edges[low] |= differs
         edges[high] |= differs
-    beside = edges.copy()
-    for low, high in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
-        beside[low] |= edges[high]
-        beside[high] |= edges[low]
-    return edges, np.asarray(beside & ~edges & inside)
+    return edges
 
 
 # --------------------------------------------------------------------------------------------------------- camera ray
@@ -203,11 +218,12 @@ def _undistort_steps(camera: Camera) -> int:
 def _camera_ray(view: _View, pixel: Any, offset: tuple[Any, Any], share: Any) -> Any:
     """Ray through a place of the image; `share` in [0, 1) is the part of the exposure that has passed."""
     camera, lens = view.camera, view.camera.lens
-    column, row = pixel % camera.width_px, pixel // camera.width_px
+    across = camera.width_px + 2 * view.halo
+    column, row = mi.Int32(pixel % across) - view.halo, mi.Int32(pixel // across) - view.halo
     # Whole pixels and fractions apart: the difference to the principal point keeps its digits.
     whole_x, whole_y = int(np.floor(lens.cx_px)), int(np.floor(lens.cy_px))
-    xd = (mi.Float(mi.Int32(column) - whole_x) + (0.5 - (lens.cx_px - whole_x) + offset[0])) / lens.fx_px
-    yd = (mi.Float(mi.Int32(row) - whole_y) + (0.5 - (lens.cy_px - whole_y) + offset[1])) / lens.fy_px
+    xd = (mi.Float(column - whole_x) + (0.5 - (lens.cx_px - whole_x) + offset[0])) / lens.fx_px
+    yd = (mi.Float(row - whole_y) + (0.5 - (lens.cy_px - whole_y) + offset[1])) / lens.fy_px
     x, y = xd, yd
     for _ in range(view.steps):
         r2 = x * x + y * y
@@ -230,33 +246,51 @@ def _camera_ray(view: _View, pixel: Any, offset: tuple[Any, Any], share: Any) ->
 # ------------------------------------------------------------------------------------------------------------ kernels
 
 
-def _trace(job: _Job, pixels: np.ndarray, samples: int) -> np.ndarray:
-    """Mean radiance of some pixels, (n, bands)."""
-    pixel = mi.UInt32(pixels)
+def _trace(job: _Job, pixels: np.ndarray, samples: int, split: int, tile: int) -> np.ndarray:
+    """Mean radiance of pixels, point spread included, (n, bands); of their sub-pixels, without it, (n * split^2, bands)."""
+    lanes = len(pixels) * split**2
+    mean = np.empty((lanes, job.materials.bands), np.float32)
     count = mi.UInt32(samples)
     dr.make_opaque(count)
-    sampler = PixelSampler(pixel, job.key, pairs=2 + PAIRS * (job.bounces + 1))
+    # Whole pixels, and a multiple of 64 of them: the rays of a packet are the same ones in any tile.
+    step = max(64, tile // split**2)
+    for first in range(0, len(pixels), step):
+        part = pixels[first : first + step]
+        lane = dr.arange(mi.UInt32, len(part) * split**2)
+        pixel = dr.gather(mi.UInt32, mi.UInt32(part), lane // split**2)
+        found = _mean(job, pixel, lane % split**2, split, count)
+        mean[first * split**2 : (first + len(part)) * split**2] = np.stack([np.asarray(m) for m in found], axis=-1)
+    return mean
+
+
+def _mean(job: _Job, pixel: Any, sub: Any, split: int, count: Any) -> list[Any]:
+    sampler = PixelSampler(pixel * split**2 + sub, job.key, pairs=2 + PAIRS * (job.bounces + 1))
+    corner = mi.Float(sub % split) / split - 0.5, mi.Float(sub // split) / split - 0.5
 
     def body(sample: Any, *total: Any) -> tuple[Any, ...]:
-        value = _sample(job, pixel, sampler, sample)
+        u, v = sampler.pair(sample, 0)
+        if split == 1:
+            offset = filter_offset(job.view.filter, u), filter_offset(job.view.filter, v)
+        else:
+            offset = corner[0] + u / split, corner[1] + v / split
+        value = _sample(job, pixel, offset, sampler, sample)
         return (sample + 1, *(t + v for t, v in zip(total, value, strict=True)))
 
+    lanes = dr.width(pixel)
     state = dr.while_loop(
-        (dr.zeros(mi.UInt32, len(pixels)), *(dr.zeros(mi.Float, len(pixels)) for _ in range(job.materials.bands))),
+        (dr.zeros(mi.UInt32, lanes), *(dr.zeros(mi.Float, lanes) for _ in range(job.materials.bands))),
         lambda sample, *total: sample < count,
         body,
         label="samples",
     )
     mean = [total / mi.Float(count) for total in state[1:]]
     dr.eval(mean)
-    return np.stack([np.asarray(m) for m in mean], axis=-1)
+    return mean
 
 
-def _sample(job: _Job, pixel: Any, sampler: PixelSampler, sample: Any) -> list[Any]:
-    """Radiance of one sample in every band."""
-    u, v = sampler.pair(sample, 0)
+def _sample(job: _Job, pixel: Any, offset: tuple[Any, Any], sampler: PixelSampler, sample: Any) -> list[Any]:
+    """Radiance of one sample, `offset` from its pixel's centre, in every band."""
     share, choice = sampler.pair(sample, 1)
-    offset = filter_offset(job.view.filter, u), filter_offset(job.view.filter, v)
     ray = _camera_ray(job.view, pixel, offset, share)
     found = job.render_scene.mi_scene.ray_intersect_preliminary(ray, coherent=True)
     hit = found.is_valid()
