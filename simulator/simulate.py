@@ -147,7 +147,8 @@ def _fly_camera(world: Range, place: CampaignFolder, progress: Report) -> None:
         for done, (sortie, estimated, strip, index, time) in enumerate(frames, start=1):
             folder = place.sortie(sortie.number)
             name = f"s{sortie.number:02d}_l{strip.number:02d}_{index + 1:03d}"
-            pose = camera_maths.frame_pose(sortie.motion, rig.true_camera(config), time)
+            half_span = max(1e-3, 0.5 * config.camera.readout_time_s)
+            pose = camera_maths.frame_pose(sortie.motion, rig.true_camera(config), time, half_span)
             radiance = _radiance(world, pose, strip, index, time)
             image = f"sorties/{sortie.number:02d}/images/{name}.tif"
             marks += record_truth.marks_in(config.camera, world.scene, pose, image)
