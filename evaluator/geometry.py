@@ -28,7 +28,7 @@ from evaluator.model import (
 from evaluator.mounting_model import Problem, SurveyedMark
 from evaluator.observe.frustums import FrustumModel, find_vertex, frustum_model
 from evaluator.observe.marks import MarkView, find_mark
-from evaluator.observe.target_view import on_plate, sheet_quads, to_sun
+from evaluator.observe.target_view import sheet_quads, to_sun
 
 _HAND_STD_PX = 0.5  # of a pixel that a person picked
 _WIDEST_SEARCH_PX = 120.0
@@ -139,13 +139,13 @@ def mark_view(
     eye = axes.T @ (position[0] + world_from_body[0] @ body_from_camera.lever_arm_m - mark)
     m = world_frame.manifest
     sun = axes.T @ to_sun(exposure.gps_time_s, float(m.gps_minus_utc_s), m.latitude_deg, m.longitude_deg)
-    quads = sheet_quads(model)
     return MarkView(
         predicted_px=uv[0],
         px_per_m=by_point[0] @ camera_from_target[:, :2],
         radius_m=mark_radius_m,
-        hidden_m=on_plate(quads, eye, finite=True),
-        shaded_m=on_plate(quads, sun, finite=False) if sun[2] > 0.05 else np.zeros((0, 4, 2)),
+        sheets_m=sheet_quads(model),
+        eye_m=eye,
+        to_sun=sun if sun[2] > 0.05 else None,
     )
 
 

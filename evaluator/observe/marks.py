@@ -12,13 +12,21 @@ import cv2
 import numpy as np
 import scipy.signal
 
+from evaluator.observe.target_view import on_plate
+
 _FINE = 6  # samples a pixel and axis in the maps
 _BLUR_PX, _BLUR_STEP_PX = (
     0.5,
     0.3,
 )  # standard deviation before the pixel's own box; its spread is fitted between +- the step
-_SHADE_STD_M = 0.0025  # of the shadow's place: sheet-metal work, level of the plate
+_SUN_RADIUS = np.radians(0.2666)
+_SUN_POINTS = 8
+_TILT_STD = np.radians(
+    0.3
+)  # of the sun against the sheets: sheet-metal work, level of the plate; 2-3 mm of the shadow's place
 _EDGE_STD = np.radians(2.0)  # direction of each edge against the predicted one
+_SHADE_SHARE = 0.35  # light in the shade over light in the sun
+_LEAST_SHARE_PX = 0.02  # pixels of a region, below which it has no brightness of its own
 _LEAST_CORRELATION = 0.6
 _LEAST_CONTRAST = 0.35  # of white to black over white
 _LEAST_PIXELS = 35
@@ -32,8 +40,11 @@ class MarkView:
     predicted_px: np.ndarray  # (2,)
     px_per_m: np.ndarray  # (2, 2) pixel step by target x and y
     radius_m: float
-    hidden_m: np.ndarray  # (q, 4, 2) polygons on the plate that the funnel hides
-    shaded_m: np.ndarray  # (q, 4, 2) polygons on the plate out of the sun
+    sheets_m: (
+        np.ndarray
+    )  # (q, 4, 3) quadrilaterals of the funnel, target frame about the mark: `target_view.sheet_quads`
+    eye_m: np.ndarray  # (3,) projection centre, target frame about the mark
+    to_sun: np.ndarray | None  # (3,) unit, target frame; None: no sun
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,13 +61,13 @@ class MarkFit:
 
 
 def _fill(polygons_m: np.ndarray, view: MarkView, size: int, half: float) -> np.ndarray:
-    """Mask (size, size) of the union of polygons given on the plate."""
+    """Mask (size, size) of the union of polygons (q, 4, 2) given on the plate."""
     mask = np.zeros((size, size), dtype=np.uint8)
-    if len(polygons_m):
-        fine = (polygons_m @ view.px_per_m.T + half) * _FINE - 0.5
-        limit = 30_000.0  # far corners: the fixed-point coordinates must not overflow
-        for polygon in np.clip(fine, -limit, limit):
-            cv2.fillConvexPoly(mask, np.round(polygon * 16.0).astype(np.int32), 1, shift=4)
+    fine = (polygons_m @ view.px_per_m.T + half) * _FINE - 0.5
+    meets = np.all((fine.min(axis=1) < size) & (fine.max(axis=1) > -1.0), axis=-1)
+    limit = 30_000.0  # far corners: the fixed-point coordinates must not overflow
+    for polygon in np.round(np.clip(fine[meets], -limit, limit) * 16.0).astype(np.int32):
+        cv2.fillConvexPoly(mask, polygon, 1, shift=4)
     return mask
 
 
@@ -73,9 +84,31 @@ class _Maps:
 
     base: np.ndarray  # (5, s, s)
     by_place: np.ndarray  # (2, 4, s, s) slope by column and row [1/px]
-    by_blur: np.ndarray  # (4, s, s) half the change from less to more blur
-    by_shade: np.ndarray  # (0 or 2, 4, s, s) change when the shadow moves by its standard deviation along target x, y
+    by_blur: np.ndarray  # (4, s, s) change with the blur's step
+    by_shade: np.ndarray  # (0 or 2, 4, s, s) change when the sun moves by _TILT_STD against the target
     half_px: float
+
+
+def _shade(view: MarkView, size: int, half: float) -> tuple[np.ndarray, np.ndarray]:
+    """Share of the sun's disc that the sheets hide (size, size), and its slope (2, size, size) by the sun's place over _TILT_STD.
+
+    A ring of R / sqrt 2 has the disc's second moments. Near the faces' own angle the sheets' shadow is a line thinner than the
+    penumbra: with a point for a sun it would be a black line through the centre.
+    """
+    if view.to_sun is None:
+        return np.zeros((size, size), np.float32), np.zeros((2, size, size), np.float32)
+    turn = 2.0 * np.pi * (np.arange(_SUN_POINTS) + 0.5) / _SUN_POINTS
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    across = np.linalg.svd(view.to_sun[None])[2][1:]
+    radius = _SUN_RADIUS / np.sqrt(2.0)
+    hidden = np.stack(
+        [
+            _fill(on_plate(view.sheets_m, sun, finite=False), view, size, half)
+            for sun in view.to_sun / np.linalg.norm(view.to_sun) + radius * ring @ across
+        ]
+    ).astype(np.float32)
+    slope = np.tensordot(ring.T * (2.0 / _SUN_POINTS * _TILT_STD / radius), hidden, axes=1)
+    return hidden.mean(axis=0), np.asarray(slope, dtype=np.float32)
 
 
 def _maps(view: MarkView) -> _Maps:
@@ -87,37 +120,40 @@ def _maps(view: MarkView) -> _Maps:
     inverse = np.linalg.inv(view.px_per_m)
     x, y = inverse[0, 0] * u + inverse[0, 1] * v, inverse[1, 0] * u + inverse[1, 1] * v
     scale = float(np.sqrt(abs(np.linalg.det(view.px_per_m))))
-    hidden = _grown(_fill(view.hidden_m, view, size, half), 0.2 + 0.003 * scale).astype(bool)
+    behind = _fill(on_plate(view.sheets_m, view.eye_m, finite=True), view, size, half)
+    hidden = _grown(behind, 0.2 + 0.003 * scale).astype(bool)
     out = hidden | (np.hypot(x, y) > view.radius_m)
-    white = x * y > 0.0
-
-    def shares(shade: np.ndarray) -> np.ndarray:
-        lit = shade == 0
-        return np.stack([white & lit, ~white & lit, white & ~lit, ~white & ~lit, out]).astype(np.float32)
-
-    shade = _fill(view.shaded_m, view, size, half)
-    raw = shares(shade)
-    base = _blurred(raw, _BLUR_PX)
-    by_blur = _blurred(raw[:4], _BLUR_PX + _BLUR_STEP_PX) - _blurred(raw[:4], _BLUR_PX - _BLUR_STEP_PX)
-    rows, columns = np.gradient(base[:4], axis=(1, 2))
-    by_shade = np.zeros((0, 4, size, size))
-    if np.any(shade[~out]):
-        moved = [_fill(view.shaded_m + _SHADE_STD_M * d, view, size, half) for d in np.eye(2)]
-        by_shade = np.stack([_blurred(shares(m)[:4], _BLUR_PX) - base[:4] for m in moved])
+    white = ((x * y > 0.0) & ~out).astype(np.float32)
+    black = ((x * y <= 0.0) & ~out).astype(np.float32)
+    shade, slope = _shade(view, size, half)
+    raw = np.stack([white * (1.0 - shade), black * (1.0 - shade), white * shade, black * shade, out.astype(np.float32)])
+    base = _blurred(raw)
+    by_shade = np.zeros((0, 4, size, size), np.float32)
+    if np.any(slope[:, ~out]):
+        moved = _blurred(np.stack([white * slope[0], black * slope[0], white * slope[1], black * slope[1]]))
+        by_shade = np.stack([-moved[0], -moved[1], moved[0], moved[1], -moved[2], -moved[3], moved[2], moved[3]])
+        by_shade = by_shade.reshape(2, 4, size, size)
+    kernel = np.array([-0.5, 0.0, 0.5], np.float32) * _FINE
+    one = np.ones(1, np.float32)
     return _Maps(
         base=base,
-        by_place=np.stack([columns, rows]) * _FINE,
-        by_blur=0.5 * by_blur,
+        by_place=np.stack(
+            [
+                [cv2.sepFilter2D(m, -1, kernel, one) for m in base[:4]],
+                [cv2.sepFilter2D(m, -1, one, kernel) for m in base[:4]],
+            ]
+        ),
+        by_blur=np.stack([cv2.Laplacian(m, -1) for m in base[:4]]) * (_BLUR_PX * _BLUR_STEP_PX * _FINE**2),
         by_shade=by_shade,
         half_px=half,
     )
 
 
-def _blurred(maps: np.ndarray, blur_px: float) -> np.ndarray:
+def _blurred(maps: np.ndarray) -> np.ndarray:
     """As pixels see them: Gaussian of the optics, then the pixel's square."""
     out = [
         cv2.boxFilter(
-            cv2.GaussianBlur(m, (0, 0), blur_px * _FINE, borderType=cv2.BORDER_REPLICATE),
+            cv2.GaussianBlur(m, (0, 0), _BLUR_PX * _FINE, borderType=cv2.BORDER_REPLICATE),
             -1,
             (_FINE + 1, _FINE + 1),
             borderType=cv2.BORDER_REPLICATE,
@@ -187,20 +223,26 @@ class _State:
     pixels: int
 
 
-def _brightness_ties(regions: list[int], coefficients: np.ndarray, first: int, columns: int) -> np.ndarray:
+def _brightness_ties(regions: list[int], white: float, black: float, first: int, columns: int) -> np.ndarray:
     """Weak knowledge of shade, as rows over their standard deviation: white in the shade has 0.35 +- 0.2 of its light in the
     sun, and black has the same share. A sliver of shadow beside an edge could otherwise have any brightness and shift it."""
     rows = []
-    white, black = coefficients[0], coefficients[1]
-    if 0 in regions and 2 in regions:
-        row = np.zeros(columns)
-        row[first + regions.index(0)], row[first + regions.index(2)] = -0.35, 1.0
-        rows.append(row / (0.2 * max(abs(white), 1e-9)))
-    if 1 in regions and 3 in regions:
-        row = np.zeros(columns)
-        row[first + regions.index(1)], row[first + regions.index(3)] = -0.35, 1.0
-        rows.append(row / max(0.2 * abs(black), 0.03 * abs(white), 1e-9))
+    for lit, shaded, std in ((0, 2, 0.2 * white), (1, 3, max(0.2 * black, 0.02 * white))):
+        if lit in regions and shaded in regions:
+            row = np.zeros(columns)
+            row[first + regions.index(lit)], row[first + regions.index(shaded)] = -_SHADE_SHARE, 1.0
+            rows.append(row / max(std, 1e-9))
     return np.array(rows).reshape(-1, columns)
+
+
+def _start(y: np.ndarray, shares: np.ndarray, regions: list[int]) -> np.ndarray:
+    """First brightness of the four regions."""
+    black, white = np.percentile(y, [5.0, 95.0])
+    ties = _brightness_ties(regions, float(white), float(black), 0, len(regions)) * 0.05 * (white - black)
+    design = np.concatenate([shares[regions].T, ties])
+    out = np.zeros(4)
+    out[regions] = np.linalg.lstsq(design, np.concatenate([y, np.zeros(len(ties))]), rcond=None)[0]
+    return out
 
 
 def _refine(samples: _Samples, maps: _Maps, view: MarkView, start: np.ndarray, iterations: int = 10) -> _State | None:
@@ -220,10 +262,10 @@ def _refine(samples: _Samples, maps: _Maps, view: MarkView, start: np.ndarray, i
             return None
         y, m, at = samples.value[usable], values[:4, usable], fine[usable]
         lit = m[0] + m[1]
-        regions = [k for k in range(4) if m[k].sum() > 2.0]
+        regions = [k for k in range(4) if m[k].sum() > _LEAST_SHARE_PX]
         coefficients = state.coefficients.copy()
         if not coefficients.any():
-            coefficients[regions] = np.linalg.lstsq(m[regions].T, y, rcond=None)[0]
+            coefficients = _start(y, m, regions)
         model = coefficients @ m
         steep = np.stack([coefficients @ _look_up(s, at) for s in maps.by_place], axis=1)
         by_plate = steep @ view.px_per_m
@@ -248,7 +290,8 @@ def _refine(samples: _Samples, maps: _Maps, view: MarkView, start: np.ndarray, i
         prior_std[4:first] = 1.0
         prior_value = np.zeros(design.shape[1])  # of the increments: the edges' prior stands at zero
         prior_value[2:4] = -state.edges
-        ties = _brightness_ties(regions, coefficients, first, design.shape[1])
+        white, black = np.max(np.abs(coefficients[[0, 2]])), np.max(np.abs(coefficients[[1, 3]]))
+        ties = _brightness_ties(regions, float(white), float(black), first, design.shape[1])
         weight = np.ones(len(y))
         scale = 1.0
         solution: np.ndarray = np.zeros(design.shape[1])
