@@ -14,13 +14,16 @@ import numpy as np
 from campaign.errors import TestrangeError
 from campaign.images import read_image, read_preview
 from campaign.records import CameraObservation, Exposure, read_camera_observations
+from campaign.threads import one_blas_thread
 from evaluator.c8_1_lidar_reflectance import PanelReflectances, evaluate_lidar_reflectance
 from evaluator.c8_3_reflectance_consistency import evaluate_reflectance_consistency
 from evaluator.c9_3_calibration import CalibrationResult, evaluate_calibration
 from evaluator.conformity import ConformityInputs, conformity_rows
+from evaluator.coverage import targets_outside_images, targets_outside_strips
 from evaluator.frames import WorldFrame
 from evaluator.geometry import GeometryResult, observe_marks, search_radius_px, solve_geometry
 from evaluator.georeference import TargetReturns, collect_target_returns, nominal_mountings
+from evaluator.load import in_folder
 from evaluator.load import load_campaign as read_campaign
 from evaluator.model import CampaignData, EvaluationError, MarkObservation, Mounting, SortieData
 from evaluator.observe.examples import waveform_examples
@@ -49,19 +52,38 @@ class _Findings:
     regions: list[Region] = field(default_factory=list)
     brightness: dict[str, list[float]] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
+    root: Path
+
+    def problem(self, error: TestrangeError) -> None:
+        """Each once, whatever room met it."""
+        line = in_folder(error, self.root)
+        if line not in self.problems:
+            self.problems.append(line)
 
 
-def evaluate_campaign(root: Path, progress: Report = silent) -> Evaluation:
+@one_blas_thread()
+def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = False) -> Evaluation:
     """Evaluate one campaign folder.
+
+    Parameters
+    ----------
+    root : Path
+    progress : callable
+    strict : bool
+        A target that no image or no strip can hold ends the evaluation; else it is named among the problems.
 
     Raises
     ------
     CampaignError
         `root` is no campaign folder.
+    EvaluationError
+        `strict`, and a target lies outside.
     """
     data = read_campaign(root)
-    findings = _Findings(problems=list(data.problems))
+    findings = _Findings(problems=list(data.problems), root=root)
+    _outside(targets_outside_images(data), strict, findings)
     returns = _returns_near_targets(data, findings, progress)
+    _outside(targets_outside_strips(data, returns, _collect_radius_m(data)), strict, findings)
     geometry, geometry_reason = _geometry(data, returns, findings, progress)
     camera, lidar = _mountings(data, geometry)
     progress("panels", 0, 2)
@@ -107,22 +129,32 @@ def evaluate_campaign(root: Path, progress: Report = silent) -> Evaluation:
     )
 
 
+def _outside(lines: list[str], strict: bool, findings: _Findings) -> None:
+    if lines and strict:
+        more = f"and {len(lines) - 1} more" if len(lines) > 1 else None
+        raise EvaluationError(lines[0], remedy=more, problems=lines)
+    findings.problems += lines
+
+
+def _collect_radius_m(data: CampaignData) -> float:
+    return max((t.size_m for t in data.targets), default=0.0) / float(np.sqrt(2.0)) + COLLECT_MARGIN_M
+
+
 def _returns_near_targets(
     data: CampaignData, findings: _Findings, progress: Report
 ) -> dict[tuple[int, int, str], TargetReturns]:
     strips = sum(len(s.strips) for s in data.sorties)
     progress("point cloud", 0, strips)
     centres = {t.id: np.array([t.easting_m, t.northing_m, t.height_m]) for t in data.targets}
-    widest = max((t.size_m for t in data.targets), default=0.0)
     found: dict[tuple[int, int, str], TargetReturns] = {}
     done = 0
     for sortie in data.sorties:
         for strip in sortie.strips:
             one = _only(data, sortie, (strip,))
             try:
-                found |= collect_target_returns(one, centres, widest / np.sqrt(2.0) + COLLECT_MARGIN_M)
+                found |= collect_target_returns(one, centres, _collect_radius_m(data))
             except TestrangeError as error:
-                findings.problems.append(str(error))
+                findings.problem(error)
             done += 1
             progress("point cloud", done, strips)
     return found
@@ -156,7 +188,7 @@ def _picked(sortie: SortieData, findings: _Findings) -> list[CameraObservation]:
     try:
         return read_camera_observations(path)
     except TestrangeError as error:
-        findings.problems.append(str(error))
+        findings.problem(error)
         return []
 
 
@@ -192,7 +224,7 @@ def _geometry(
             findings.marks += marks
             findings.mark_reasons |= reasons
         except TestrangeError as error:
-            findings.problems.append(str(error))
+            findings.problem(error)
         progress("marks", done, len(frames))
     progress("mounting", 0, 1)
     try:
@@ -222,7 +254,7 @@ def _lidar_panels(
     try:
         return lidar_panel_observations(data, returns, body_from_lidar)
     except TestrangeError as error:
-        findings.problems.append(str(error))
+        findings.problem(error)
         return []
 
 
@@ -254,8 +286,7 @@ def _image_panels(
             )
             _brightness(data, sortie, exposure, values, findings)
         except TestrangeError as error:
-            if str(error) not in findings.problems:
-                findings.problems.append(str(error))
+            findings.problem(error)
             continue
         findings.panels += values
         findings.regions += [

@@ -18,6 +18,7 @@ from campaign import images, las, manifest, records, sensors, survey, trajectory
 from campaign import truth as truth_files
 from campaign.config import Config
 from campaign.folder import CampaignFolder, SortieFolder
+from campaign.threads import one_blas_thread
 from scenes.build import build_scene
 from scenes.model import Scene, SunSky
 from scenes.sunsky import sun_sky
@@ -69,6 +70,7 @@ def prepare_range(config: Config) -> Range:
     )
 
 
+@one_blas_thread()
 def simulate_campaign(
     config: Config, out: Path, progress: Report = silent, only: frozenset[str] = frozenset({"camera", "lidar"})
 ) -> None:
