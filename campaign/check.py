@@ -15,7 +15,7 @@ from campaign.folder import CampaignFolder, SortieFolder
 from campaign.images import check_image
 from campaign.las import StripReader
 from campaign.load import load_config
-from campaign.manifest import Manifest, read_manifest, verify_files
+from campaign.manifest import Manifest, read_manifest, special_files, verify_files
 from campaign.records import (
     Exposure,
     FlightPlan,
@@ -26,7 +26,7 @@ from campaign.records import (
     read_plan,
 )
 from campaign.sensors import CameraSheet, LidarSheet, read_camera, read_lidar, read_rig
-from campaign.survey import crs_wkt, read_spectra, read_targets
+from campaign.survey import crs_wkt, far_targets, read_spectra, read_targets
 from campaign.trajectory import Trajectory, beijing_time, read_trajectory
 from campaign.truth import read_truth, verify_truth
 
@@ -47,11 +47,12 @@ class Problem:
         return f"{self.severity}: {self.where}: {self.message}"
 
 
-def check_campaign(root: Path, *, checksums: bool = True) -> list[Problem]:
+def check_campaign(root: Path, *, checksums: bool = True, truth: bool = True) -> list[Problem]:
     """Validates layout, every file's format and cross references (images named in exposures exist and have the sheet's size,
     packets lie inside .wdp, spectra cover the panels ...). An empty list: sound.
 
-    Without `checksums` the files' sizes are compared with the manifest, not their contents.
+    Without `checksums` the files' sizes are compared with the manifest, not their contents. Without `truth` nothing under
+    truth/ is opened, so that an evaluation does not depend on it.
     """
     check = _Check(CampaignFolder(Path(root)))
     manifest = check.read(check.folder.manifest, lambda _: read_manifest(check.folder.root))
@@ -59,7 +60,8 @@ def check_campaign(root: Path, *, checksums: bool = True) -> list[Problem]:
         return check.problems
     if manifest is not None:
         check.manifest(manifest, checksums)
-    check.survey()
+    check.plain_files()
+    check.survey(manifest)
     plan = check.read_part(check.folder.plan, read_plan)
     camera = check.read_part(check.folder.camera, read_camera)
     lidar = check.read_part(check.folder.lidar, read_lidar)
@@ -69,10 +71,10 @@ def check_campaign(root: Path, *, checksums: bool = True) -> list[Problem]:
         check.add("warning", check.folder.root / "sorties", "no sortie; nothing was flown")
     for sortie in sorties:
         _check_sortie(check, sortie, manifest, plan, camera, lidar)
-    if check.folder.truth.exists():
-        truth = check.read(check.folder.truth / "truth.json", lambda _: read_truth(check.folder.root))
-        if truth is not None and checksums:
-            for line in verify_truth(check.folder.root, truth):
+    if truth and check.folder.truth.exists():
+        true = check.read(check.folder.truth / "truth.json", lambda _: read_truth(check.folder.root))
+        if true is not None and checksums:
+            for line in verify_truth(check.folder.root, true):
                 check.file_line(line)
     return check.problems
 
@@ -126,7 +128,19 @@ class _Check:
         if not path.exists():
             self.add("warning", path, _NOT_MEASURED)
             return None
+        if not path.is_file():
+            return None  # named by `plain_files`, or a folder of that name
         return self.read(path, reader)
+
+    def plain_files(self) -> None:
+        """Whatever is neither a plain file nor a folder: a link may lead out, a pipe would never end."""
+        for path in special_files(self.folder.root):
+            self.add(
+                "error", path, "is no plain file; expected a campaign folder that holds its files itself; copy it in"
+            )
+        for path in (self.folder.plan, self.folder.targets, self.folder.spectra, self.folder.camera, self.folder.lidar):
+            if path.is_dir() and not path.is_symlink():
+                self.add("error", path, "is a folder; expected a file")
 
     def manifest(self, manifest: Manifest, checksums: bool) -> None:
         for line in verify_files(self.folder.root, manifest, checksums=checksums):
@@ -141,8 +155,14 @@ class _Check:
                 "error", self.folder.manifest, f"start_time: got {manifest.start_time!r}; expected ISO 8601 with offset"
             )
 
-    def survey(self) -> None:
+    def survey(self, manifest: Manifest | None) -> None:
         targets = self.read_part(self.folder.targets, read_targets) or []
+        if manifest is not None:
+            with self.catching(self.folder.targets):
+                for line in far_targets(
+                    targets, manifest.latitude_deg, manifest.longitude_deg, manifest.projection_epsg
+                ):
+                    self.add("error", self.folder.targets, line)
         spectra = self.read_part(self.folder.spectra, read_spectra)
         self.target_ids = {t.id for t in targets}
         panels = [t.id for t in targets if t.kind == "panel"]
@@ -166,8 +186,8 @@ def _check_sortie(
 ) -> None:
     week = None if manifest is None else manifest.gps_week
     trajectory = None
-    if not sortie.trajectory_sbet.exists():
-        check.add("error", sortie.trajectory_sbet, "missing; nothing of this sortie can be placed")
+    if not sortie.trajectory_sbet.is_file():
+        check.add("warning", sortie.trajectory_sbet, "missing; nothing of this sortie can be placed")
     elif week is not None:
         rms = sortie.trajectory_rms if sortie.trajectory_rms.exists() else None
         if rms is None:
@@ -248,7 +268,16 @@ def _check_strips(
     strips = [(int(m.group(1)), path) for path in files if (m := _STRIP.fullmatch(path.name))]
     if not strips:
         check.add("warning", sortie.lidar, "no strip; what needs the LiDAR is reported as not measured")
+    seen: dict[int, str] = {}
     for number, path in strips:
+        if number in seen:
+            check.add("error", path, f"the same strip as {seen[number]}; expected one file for each strip")
+        seen.setdefault(number, path.name)
+        if path.name != sortie.strip_las(number).name:
+            expected = f"expected {sortie.strip_las(number).name}"
+            check.add("error", path, f"the name of the strip's file is not read; {expected}; rename it")
+        if not path.is_file():
+            continue
         if planned is not None and number not in planned:
             check.add("warning", path, "a strip that is not in the plan")
         with check.catching(path):

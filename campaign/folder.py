@@ -106,5 +106,6 @@ class CampaignFolder:
         parent = self.root / "sorties"
         if not parent.is_dir():
             return []
-        numbers = sorted(int(p.name) for p in parent.iterdir() if p.is_dir() and p.name.isdigit() and len(p.name) <= 4)
+        names = (p.name for p in parent.iterdir() if p.is_dir() and p.name.isascii() and p.name.isdigit())
+        numbers = sorted({int(name) for name in names if len(name) <= 4 and name == f"{int(name):02d}"})
         return [SortieFolder(parent / f"{n:02d}", n) for n in numbers]

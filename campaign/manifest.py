@@ -30,10 +30,12 @@ class Manifest(Model):
     start_time: str = Field(description="ISO 8601, Beijing time")
     gps_week: Annotated[int, Field(ge=0, le=10000)]
     gps_minus_utc_s: Annotated[int, Field(ge=0, le=60)] = 18
-    latitude_deg: float = Field(description="origin of the site's topocentric frame")
-    longitude_deg: float
-    ellipsoid_height_m: float
-    height_anomaly_m: float
+    latitude_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = Field(
+        description="origin of the site's topocentric frame"
+    )
+    longitude_deg: Annotated[float, Field(ge=-180.0, le=360.0)]
+    ellipsoid_height_m: Annotated[float, Field(ge=-1000.0, le=10_000.0)]
+    height_anomaly_m: Annotated[float, Field(ge=-150.0, le=150.0)]
     projection_epsg: int
     height_epsg: int
     software: dict[str, str]
@@ -104,6 +106,12 @@ def walk(root: Path, folder: Path) -> Iterator[str]:
             yield from walk(root, path)
         else:
             yield path.relative_to(root).as_posix()
+
+
+def special_files(root: Path) -> list[Path]:
+    """Links, pipes, devices and sockets anywhere in a campaign but in truth/, sorted."""
+    paths = (root / name for name in walk(root, root) if not name.startswith(f"{TRUTH}/"))
+    return [path for path in paths if path.is_symlink() or not path.is_file()]
 
 
 def _campaign_files(root: Path) -> list[str]:

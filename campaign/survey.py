@@ -58,6 +58,7 @@ class Spectra:
     reflectance: np.ndarray  # (w, panels) 0..1 (a little above 1 is legal)
 
 
+MAX_SITE_M = 20_000.0  # no range is wider; beyond, the coordinates are in another system
 MATERIALS = ("barium_sulfate", "ptfe", "water_based_paint")
 TARGET_COLUMNS: dict[str, Parse] = {
     "id": identifier,
@@ -121,6 +122,42 @@ def read_targets(path: Path) -> list[SurveyedTarget]:
                 problems.append(CampaignError("is empty", where=where, expected=f"a value for a {row['kind']}"))
     raise_problems(problems)
     return [SurveyedTarget(**row) for row in rows]
+
+
+def far_targets(targets: list[SurveyedTarget], latitude_deg: float, longitude_deg: float, epsg: int) -> list[str]:
+    """Targets that cannot belong to the site, one line each: swapped axes, another zone, kilometres, a zone's number in front.
+
+    Raises
+    ------
+    CampaignError
+        The number names no projected coordinate system, or the origin has no place in it.
+    """
+    try:
+        crs = pyproj.CRS.from_epsg(epsg)
+        if not crs.is_projected:
+            raise CampaignError(
+                "is no projected coordinate system", where=f"EPSG:{epsg}", expected="eastings, northings"
+            )
+        origin = pyproj.Transformer.from_crs(crs.geodetic_crs, crs, always_xy=True).transform(
+            longitude_deg, latitude_deg
+        )
+    except pyproj.exceptions.ProjError:
+        raise CampaignError("is no coordinate system that is known here", where=f"EPSG:{epsg}") from None
+    if not np.isfinite(origin).all():
+        raise CampaignError(
+            "the site's origin lies outside the projection",
+            where=f"EPSG:{epsg}",
+            got=f"{latitude_deg:g}, {longitude_deg:g}",
+        )
+    lines = []
+    for target in targets:
+        away = np.hypot(target.easting_m - origin[0], target.northing_m - origin[1])
+        if not away <= MAX_SITE_M or not abs(target.height_m) <= MAX_SITE_M:
+            lines.append(
+                f"{target.id}: lies {away / 1000.0:.0f} km from the site's origin, height {target.height_m:g} m; expected "
+                f"eastings and northings near {origin[0]:.0f}, {origin[1]:.0f} by the manifest's EPSG:{epsg}, in metres"
+            )
+    return lines
 
 
 def write_gcp_list(path: Path, targets: list[SurveyedTarget], projection_epsg: int) -> None:

@@ -101,6 +101,10 @@ def read_trajectory(sbet: Path, smrmsg: Path | None, gps_week: int) -> Trajector
     time = _time(sbet, table[:, 0], gps_week)
     if np.any(np.abs(table[:, 1]) > np.pi / 2.0) or np.any(np.abs(table[:, 2]) > 2.0 * np.pi):
         raise CampaignError("a latitude or longitude is out of range", where=str(sbet), expected="radians")
+    if np.any(np.abs(table[:, 7:9]) > np.pi + 1e-6) or np.any(np.abs(table[:, 9:11]) > 2.0 * np.pi + 1e-6):
+        raise CampaignError("a roll, pitch or heading is out of range", where=str(sbet), expected="radians")
+    if np.any(np.abs(table[:, 3]) > 100_000.0):
+        raise CampaignError("a height is out of range", where=str(sbet), expected="metres above the ellipsoid")
     wander = table[:, 10]
     velocity = table[:, 4:7].copy()
     heading = table[:, 9]

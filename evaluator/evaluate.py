@@ -19,7 +19,7 @@ from evaluator.c8_1_lidar_reflectance import PanelReflectances, evaluate_lidar_r
 from evaluator.c8_3_reflectance_consistency import evaluate_reflectance_consistency
 from evaluator.c9_3_calibration import CalibrationResult, evaluate_calibration
 from evaluator.conformity import ConformityInputs, conformity_rows
-from evaluator.coverage import targets_outside_images, targets_outside_strips
+from evaluator.coverage import targets_in_images, targets_outside_images, targets_outside_strips
 from evaluator.frames import WorldFrame
 from evaluator.geometry import GeometryResult, observe_marks, search_radius_px, solve_geometry
 from evaluator.georeference import TargetReturns, collect_target_returns, nominal_mountings
@@ -27,7 +27,7 @@ from evaluator.load import in_folder
 from evaluator.load import load_campaign as read_campaign
 from evaluator.model import CampaignData, EvaluationError, MarkObservation, Mounting, SortieData
 from evaluator.observe.examples import waveform_examples
-from evaluator.observe.panel_images import panel_image_values, panel_region_px, region_pixels
+from evaluator.observe.panel_images import panel_image_values, region_pixels
 from evaluator.observe.panels import ImagePanelObservation, LidarPanelObservation, lidar_panel_observations
 from evaluator.results import Evaluation, PanelValue, Region
 from evaluator.results_model import IndicatorValue, not_measured
@@ -384,7 +384,7 @@ def _conformity_inputs(
         panel_brightness={k: float(np.mean(v)) for k, v in findings.brightness.items()},
         panel_brightness_linear={k: float(np.mean(v)) for k, v in linear.items()},
         panel_clipped_share={k: float(np.max(v)) for k, v in clipped.items()},
-        targets_in_image=_targets_in_images(data, camera),
+        targets_in_image=targets_in_images(data, camera),
         scan_interval_s=_scan_intervals(returns),
         strip_window_s=_strip_windows(returns),
         frustum_vertices=len({v.target for v in geometry.vertices}) if geometry else None,
@@ -400,26 +400,6 @@ def _picked_by(marks: list[MarkObservation]) -> str | None:
     if not marks:
         return None
     return "person" if any(m.picked_by == "person" for m in marks) else "evaluator"
-
-
-def _targets_in_images(data: CampaignData, camera: Mounting | None) -> dict[tuple[int, str], int]:
-    """How many targets lie wholly inside each image (6.2.3 b): their squares as seen through the mounting at hand."""
-    if data.camera is None or camera is None:
-        return {}
-    frame = WorldFrame(data.manifest)
-    limit = np.array([data.camera.width_px, data.camera.height_px], dtype=np.float64)
-    counts: dict[tuple[int, str], int] = {}
-    for sortie, exposure in _exposures(data):
-        inside = 0
-        assert sortie.trajectory is not None
-        for target in data.targets:
-            try:
-                corners = panel_region_px(target, data.camera, camera, sortie.trajectory, exposure, frame)
-            except EvaluationError:
-                break  # the exposure lies outside the trajectory: named with the marks
-            inside += bool(np.isfinite(corners).all() and (corners >= 0.0).all() and (corners <= limit).all())
-        counts[sortie.folder.number, exposure.image] = inside
-    return counts
 
 
 def _scan_intervals(returns: dict[tuple[int, int, str], TargetReturns]) -> dict[tuple[int, int], float]:

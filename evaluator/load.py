@@ -9,7 +9,7 @@ from campaign.folder import CampaignFolder, SortieFolder
 from campaign.manifest import read_manifest
 from campaign.records import read_environment, read_exposures, read_plan
 from campaign.sensors import read_camera, read_lidar, read_rig
-from campaign.survey import read_spectra, read_targets
+from campaign.survey import far_targets, read_spectra, read_targets
 from campaign.trajectory import read_trajectory
 from evaluator.model import CampaignData, SortieData
 
@@ -34,9 +34,11 @@ def load_campaign(root: Path) -> CampaignData:
         if not path.exists():
             return None
         try:
+            if not path.is_file():
+                raise CampaignError("is no file", where=str(path))
             return read()
         except TestrangeError as error:
-            problems.append(str(error))
+            problems.append(in_folder(error, root))
             return None
 
     def sortie(place: SortieFolder) -> SortieData:
@@ -51,11 +53,15 @@ def load_campaign(root: Path) -> CampaignData:
             strips=_strips(place),
         )
 
+    targets = part(folder.targets, lambda: read_targets(folder.targets)) or []
+    far = far_targets(targets, manifest.latitude_deg, manifest.longitude_deg, manifest.projection_epsg)
+    problems += [f"survey/targets.csv: {line}" for line in far]
+    beyond = {line.split(":", 1)[0] for line in far}
     return CampaignData(
         folder=folder,
         manifest=manifest,
         plan=part(folder.plan, lambda: read_plan(folder.plan)),
-        targets=tuple(part(folder.targets, lambda: read_targets(folder.targets)) or ()),
+        targets=tuple(t for t in targets if t.id not in beyond),
         spectra=part(folder.spectra, lambda: read_spectra(folder.spectra)),
         camera=part(folder.camera, lambda: read_camera(folder.camera)),
         lidar=part(folder.lidar, lambda: read_lidar(folder.lidar)),
@@ -65,9 +71,16 @@ def load_campaign(root: Path) -> CampaignData:
     )
 
 
+def in_folder(error: TestrangeError | str, root: Path) -> str:
+    """An error's line with paths relative to the campaign: results are the same wherever the folder stands."""
+    return str(error).replace(f"{root}/", "").replace(str(root), root.name)
+
+
 def _strips(place: SortieFolder) -> tuple[int, ...]:
     """Numbers of the waveform files strip_NN.las, in order."""
     if not place.lidar.is_dir():
         return ()
-    stems = (path.stem.removeprefix("strip_") for path in place.lidar.glob("strip_*.las"))
-    return tuple(sorted(int(stem) for stem in stems if stem.isdigit() and len(stem) <= 4))
+    names = {path.name for path in place.lidar.glob("strip_*.las") if path.is_file()}
+    stems = (name.removeprefix("strip_").removesuffix(".las") for name in names)
+    numbers = {int(stem) for stem in stems if stem.isascii() and stem.isdigit() and len(stem) <= 4}
+    return tuple(sorted(n for n in numbers if place.strip_las(n).name in names))

@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
@@ -81,6 +81,7 @@ def simulate(
     /,
     *,
     out: Path,
+    only: Literal["camera", "lidar"] | None = None,
     set_: Settings = (),
     replace: Replace = False,
     json: Json = False,
@@ -94,6 +95,8 @@ def simulate(
         A TOML file, or the name of one in configs/campaigns.
     out
         The campaign folder to write.
+    only
+        Leave the other sensor on the ground.
     """
     from campaign.load import load_config
     from testrange import pipeline
@@ -101,7 +104,7 @@ def simulate(
 
     loaded = load_config(config, set_)
     with display(quiet=quiet) as progress:
-        pipeline.simulate(loaded, out, progress, replace=replace)
+        pipeline.simulate(loaded, out, progress, replace=replace, only=only)
     if json:
         _print_json({"campaign": loaded.campaign.id, "folder": str(out)})
     else:
@@ -114,6 +117,7 @@ def evaluate(
     /,
     *,
     out: Path | None = None,
+    keep_going: Annotated[bool, Parameter(negative="", show_default=False)] = False,
     replace: Replace = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -126,13 +130,15 @@ def evaluate(
         The campaign folder.
     out
         Results folder, results/ beside the campaign by default.
+    keep_going
+        Evaluate a folder that has errors: what is damaged is left out and named.
     """
     from testrange import pipeline
     from testrange.progress import display
 
     target = out or campaign.resolve().parent / "results"
     with display(quiet=quiet) as progress:
-        done = pipeline.evaluate(campaign, target, progress, replace=replace)
+        done = pipeline.evaluate(campaign, target, progress, replace=replace, keep_going=keep_going)
     _report(done, json)
 
 
@@ -264,7 +270,7 @@ def call(arguments: Sequence[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the reader of stdout left; nothing more to say
         return 0
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             return _fail(
                 f"{error.filename or 'output'}: no space left on the disk; free some or choose another place", 1
             )

@@ -3,18 +3,24 @@
 Formulas and files live in the rooms that this calls. Output folders appear complete or not at all.
 """
 
+import dataclasses
 import resource
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from campaign.atomic import complete_folder
 from campaign.config import Config
 from campaign.errors import CampaignError
+from evaluator.model import EvaluationError
 from evaluator.results import Evaluation, write_results
 from evaluator.score import Score, score_campaign, write_score
 from testrange.progress import ProgressCallback
+
+KEEP_GOING = "testrange evaluate --keep-going"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,23 +54,67 @@ def _write_results(folder: Path, campaign: Path, evaluation: Evaluation, *, scor
     return scored
 
 
-def simulate(config: Config, out: Path, progress: ProgressCallback, *, replace: bool = False) -> None:
-    """Writes the campaign folder `out`."""
+def _merged(known: Sequence[str], met: Sequence[str]) -> tuple[str, ...]:
+    """The folder's errors, then what the evaluation met in files that the errors do not name."""
+    files = {line.split(": ", 1)[0] for line in known}
+    return (*known, *(line for line in met if line not in known and not any(name in line for name in files)))
+
+
+def simulate(
+    config: Config,
+    out: Path,
+    progress: ProgressCallback,
+    *,
+    replace: bool = False,
+    only: Literal["camera", "lidar"] | None = None,
+) -> None:
+    """Writes the campaign folder `out`; `only` leaves the other sensor on the ground."""
     from simulator.simulate import simulate_campaign
 
     with complete_folder(out, replace) as work:
-        simulate_campaign(config, work, progress)
+        if only is None:
+            simulate_campaign(config, work, progress)
+        else:
+            simulate_campaign(config, work, progress, frozenset({only}))
 
 
-def evaluate(campaign: Path, out: Path, progress: ProgressCallback, *, replace: bool = False) -> Run:
-    """Evaluates any campaign folder, flown or simulated, into `out`: results.json and report.html. Truth is not looked at."""
+def _refuse_unsound(campaign: Path, keep_going: bool) -> list[str]:
+    """The errors of a folder, one line each; without `keep_going` the first of them ends the evaluation."""
+    from campaign.check import check_campaign
+
+    lines = [f"{p.where}: {p.message}" for p in check_campaign(campaign, truth=False) if p.severity == "error"]
+    if lines and not keep_going:
+        more = f"and {len(lines) - 1} more: testrange check {campaign} lists them; " if len(lines) > 1 else ""
+        raise CampaignError(
+            lines[0], where=str(campaign), remedy=f"{more}{KEEP_GOING} evaluates what is left", problems=lines
+        )
+    return lines
+
+
+def evaluate(
+    campaign: Path, out: Path, progress: ProgressCallback, *, replace: bool = False, keep_going: bool = False
+) -> Run:
+    """Evaluates any campaign folder, flown or simulated, into `out`: results.json and report.html. Truth is not looked at.
+
+    A folder with an error, or a target that no image or strip holds, is refused; with `keep_going` what is damaged is left
+    out and named in the results.
+    """
     from evaluator.evaluate import evaluate_campaign
 
     start = time.monotonic()
     if not campaign.is_dir():
         raise CampaignError("no such folder", where=str(campaign), expected="a campaign folder with manifest.json")
+    progress("check", 0, 1)
+    known = _refuse_unsound(campaign, keep_going)
+    progress("check", 1, 1)
     with complete_folder(out, replace) as work:
-        evaluation = evaluate_campaign(campaign, progress)
+        try:
+            evaluation = evaluate_campaign(campaign, progress, strict=not keep_going)
+        except EvaluationError as error:
+            raise CampaignError(
+                str(error), where=str(campaign), remedy=f"{KEEP_GOING} evaluates all the same"
+            ) from None
+        evaluation = dataclasses.replace(evaluation, problems=_merged(known, evaluation.problems))
         progress("report", 0, 1)
         _write_results(work, campaign, evaluation, score=False)
     return Run(

@@ -14,9 +14,10 @@ from pydantic import BaseModel, ValidationError
 from campaign.atomic import complete_file
 from campaign.errors import CampaignError
 
-MAX_CSV_BYTES = 200_000_000
+MAX_CSV_BYTES = 30_000_000  # a row takes some twenty times its bytes while it is read
 MAX_JSON_BYTES = 50_000_000
 MAX_FIELD = 100_000
+MAX_PROBLEMS = 100  # of one file; whoever has more has the wrong file
 _ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
 
@@ -156,6 +157,8 @@ def read_rows(path: Path, columns: Mapping[str, Parse], required: Iterable[str] 
                 expected = "a number" if "could not convert" in str(error) else error
                 where = f"{path} row {i} column {name}"
                 problems.append(CampaignError("wrong value", where=where, got=repr(text[:40]), expected=expected))
+        if len(problems) >= MAX_PROBLEMS:
+            break
         out.append(cells)
     raise_problems(problems)
     return out

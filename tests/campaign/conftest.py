@@ -249,7 +249,7 @@ def make_manifest() -> Manifest:
         start_time="2026-06-09T08:26:22+08:00",
         gps_week=WEEK,
         latitude_deg=31.283,
-        longitude_deg=121.213,
+        longitude_deg=120.213,
         ellipsoid_height_m=18.0,
         height_anomaly_m=11.2,
         projection_epsg=4549,

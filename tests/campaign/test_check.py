@@ -44,7 +44,7 @@ def test_a_sound_folder_has_no_problem(hand_campaign: CampaignFolder) -> None:
         ),
         (lambda r: replace(r / "survey/spectra.csv", "P01", "P02"), "no spectrum of panel P01"),
         (lambda r: cut(r / f"{SORTIE}/trajectory.out", 0.0), "trajectory.out: is empty"),
-        (lambda r: (r / f"{SORTIE}/trajectory.out").unlink(), "nothing of this sortie can be placed"),
+        (lambda r: (r / f"{SORTIE}/trajectory.out").unlink(), "trajectory.out: missing"),
         (lambda r: cut(r / f"{SORTIE}/lidar/strip_01.las", 0.5), "strip_01.las: is truncated"),
         (lambda r: cut(r / f"{SORTIE}/lidar/strip_01.wdp", 0.5), "strip_01.wdp: is shorter than its packets say"),
         (lambda r: (r / f"{SORTIE}/lidar/strip_01.wdp").unlink(), "strip_01.wdp: no such file"),
@@ -116,6 +116,15 @@ def test_absent_parts_are_warnings(hand_campaign: CampaignFolder) -> None:
     found = lines(hand_campaign)
     assert len(found) == 4
     assert all(line.startswith("warning: ") for line in found)
+
+
+def test_an_absent_trajectory_is_a_warning(hand_campaign: CampaignFolder) -> None:
+    """Rationale: any subset of a folder is legal; what the manifest does not list is not missed. Expected: no error line."""
+    hand_campaign.sortie(1).trajectory_sbet.unlink()
+    write_manifest(hand_campaign.root, read_manifest(hand_campaign.root))
+    found = lines(hand_campaign)
+    assert any("trajectory.out: missing; nothing of this sortie can be placed" in line for line in found)
+    assert not any(line.startswith("error") for line in found)
 
 
 def test_checksums(hand_campaign: CampaignFolder) -> None:

@@ -54,7 +54,7 @@ def stubs(monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
             progress("render", k, 3)
         (out / "manifest.json").write_text("{}")
 
-    def evaluate_campaign(root: Path, progress) -> Evaluation:  # type: ignore[no-untyped-def]
+    def evaluate_campaign(root: Path, progress, **options: bool) -> Evaluation:  # type: ignore[no-untyped-def]
         if not (root / "manifest.json").is_file():
             raise CampaignError("no such file", where=str(root / "manifest.json"))
         progress("marks", 1, 1)
@@ -243,7 +243,7 @@ def test_evaluate_default_place(stubs: dict[str, object], tmp_path: Path, capsys
     campaign = tmp_path / "campaign"
     campaign.mkdir()
     (campaign / "manifest.json").write_text("{}")
-    assert cli.call(["evaluate", str(campaign), "--quiet"]) == 0
+    assert cli.call(["evaluate", str(campaign), "--quiet", "--keep-going"]) == 0
     assert sorted(p.name for p in (tmp_path / "results").iterdir()) == ["report.html", "results.json"]
     assert "greatest |z|" not in capsys.readouterr().out
 
