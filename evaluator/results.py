@@ -179,7 +179,8 @@ def _scale(n: int) -> np.ndarray:
 
 
 def not_determined(solution: MountingSolution, prior_std: np.ndarray | None) -> list[dict[str, object]]:
-    """Parameters whose standard deviation is above half its prior, or that correlate with another beyond 0.95.
+    """Parameters whose standard deviation is above half its prior, or that correlate with another of the same sensor's
+    beyond 0.95. (The two sensors' own angles correlate through the navigation they share, and are determined all the same.)
 
     Returns
     -------
@@ -188,7 +189,9 @@ def not_determined(solution: MountingSolution, prior_std: np.ndarray | None) -> 
     """
     scale = _scale(len(solution.names))
     std = np.sqrt(np.diag(solution.covariance))
-    others = np.abs(correlation_matrix(solution.covariance)) - 2.0 * np.eye(len(std))
+    sensor = np.array([name.split("_")[0] for name in solution.names])
+    others = np.where(sensor[:, None] == sensor, np.abs(correlation_matrix(solution.covariance)), 0.0)
+    others -= 2.0 * np.eye(len(std))
     out: list[dict[str, object]] = []
     for k, name in enumerate(solution.names):
         partner = int(others[k].argmax())

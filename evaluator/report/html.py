@@ -112,7 +112,8 @@ def _pictures(evaluation: Evaluation, score: Score | None) -> list[Picture]:
         out.append(_picture("Residuals 标定误差", caption, lambda: plots.residual_vectors(evaluation)))
     if evaluation.mounting is not None:
         caption = (
-            "Figures where |ρ| > 0.3. A correlation beyond 0.95 means that the flight does not tell the two apart."
+            "Figures where |ρ| > 0.3. Beyond 0.95 inside one sensor: the flight does not tell the two apart; "
+            "between the sensors: the navigation they share."
         )
         out.append(_picture("Correlations 相关系数", caption, lambda: plots.correlations(evaluation)))
     if score is not None and score.items:

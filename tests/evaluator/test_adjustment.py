@@ -285,9 +285,10 @@ def test_one_sensor_alone_is_refused() -> None:
 
 
 def test_calibration_error_of_a_campaign() -> None:
-    """Rationale: P_m of a rig with 0.4 degrees of fault. Expected: after the joint solution the residuals are those of the
-    marks (0.06 px), the vertices (4 mm is 0.2-0.27 px, averaged over four strips) and the navigation (10 mm, 0.005 degrees:
-    0.7 px): 0.4-1.2 px; the held-out figure a little above; the mountings as drawn off by 20 px."""
+    """Rationale: P_m of a rig with 0.4 degrees of fault. Expected: within one strip navigation errors cancel, and the residual
+    is that of mark (0.06 px) and vertex (4 mm an axis at 55 m and f = 3000 px: 0.22 px, mean norm 0.27 px) with what drifts in
+    some seconds: 0.2-0.5 px. Averaged over all strips of a sortie the navigation (10 mm, 0.005 degrees: 0.7 px) comes in:
+    0.4-1.2 px. The held-out figure stands a little above; the mountings as drawn are off by 20 px."""
     problem = campaign(41)
     solution = solve_mountings(problem)
     result = evaluate_calibration(problem, solution)
@@ -296,7 +297,8 @@ def test_calibration_error_of_a_campaign() -> None:
     assert result.indicator.sample_size == 24
     held = result.indicator.companions["held_out_px"]
     assert isinstance(held, float)
-    assert 0.4 < value < 1.2
+    assert 0.2 < value < 0.5
+    assert 0.4 < float(str(result.indicator.companions["all_strips_px"])) < 1.2
     assert value < held < 1.3 * value
     assert result.indicator.low_95 is not None and result.indicator.high_95 is not None
     assert result.indicator.low_95 < value < result.indicator.high_95

@@ -102,16 +102,18 @@ def test_mounting_in_degrees_and_metres(evaluation: Evaluation, mounting_solutio
 
 
 def test_not_determined(mounting_solution: MountingSolution) -> None:
-    """Rationale: "not determined" is a standard deviation above half its prior or a correlation beyond 0.95. Expected: the two
-    heights by their correlation of 0.97; with a prior of 5 mm on x also the camera's x by its 6 mm; without either, none."""
+    """Rationale: "not determined" is a standard deviation above half its prior, or a correlation beyond 0.95 with another
+    parameter of the same sensor. Expected: the two heights, whose 0.97 is between the sensors, are determined; the same 0.97
+    between the camera's x and pitch is not; with a prior of 5 mm on x neither is x by its 6 mm."""
     wide = np.tile(np.r_[np.radians([1.0, 1.0, 1.0]), 0.1, 0.1, 0.1], 2)
-    assert [w["name"] for w in not_determined(mounting_solution, wide)] == ["camera_lever_arm_z", "lidar_lever_arm_z"]
+    assert not_determined(mounting_solution, wide) == []
+    inside = mounting_solution.covariance.copy()
+    inside[1, 3] = inside[3, 1] = 0.97 * np.sqrt(inside[1, 1] * inside[3, 3])
+    tied = replace(mounting_solution, covariance=inside)
+    assert [w["name"] for w in not_determined(tied, wide)] == ["camera_boresight_pitch", "camera_lever_arm_x"]
     narrow = wide.copy()
     narrow[3] = 0.005
-    names = [w["name"] for w in not_determined(mounting_solution, narrow)]
-    assert names == ["camera_lever_arm_x", "camera_lever_arm_z", "lidar_lever_arm_z"]
-    loose = replace(mounting_solution, covariance=np.diag(np.diag(mounting_solution.covariance)))
-    assert not_determined(loose, wide) == []
+    assert [w["name"] for w in not_determined(mounting_solution, narrow)] == ["camera_lever_arm_x"]
 
 
 def test_no_mounting(evaluation: Evaluation) -> None:
