@@ -36,6 +36,10 @@ $(READY): requirements.lock pyproject.toml
 	VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/uv pip install -q --no-build-isolation --no-deps -e .
 	@touch $@
 
+# The picture of the README, from the last demo run.
+picture: $(READY)
+	$(BIN)/testrange picture out/demo --out docs/first_flight.png
+
 lock: $(READY)
 	$(BIN)/uv pip compile -q --universal --generate-hashes --no-emit-index-url --no-header --group dev -o requirements.lock pyproject.toml
 
