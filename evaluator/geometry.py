@@ -28,7 +28,7 @@ from evaluator.model import (
 from evaluator.mounting_model import Problem, SurveyedMark
 from evaluator.observe.frustums import FrustumModel, find_vertex, frustum_model
 from evaluator.observe.marks import MarkView, find_mark
-from evaluator.observe.target_view import sheet_quads, to_sun
+from evaluator.observe.target_view import sheet_corners, to_sun
 
 _HAND_STD_PX = 0.5  # of a pixel that a person picked
 _WIDEST_SEARCH_PX = 120.0
@@ -143,7 +143,7 @@ def mark_view(
         predicted_px=uv[0],
         px_per_m=by_point[0] @ camera_from_target[:, :2],
         radius_m=mark_radius_m,
-        sheets_m=sheet_quads(model),
+        sheets_m=sheet_corners(model),
         eye_m=eye,
         to_sun=sun if sun[2] > 0.05 else None,
     )

@@ -60,15 +60,31 @@ class MarkFit:
     pixels: int
 
 
-def _fill(polygons_m: np.ndarray, view: MarkView, size: int, half: float) -> np.ndarray:
-    """Mask (size, size) of the union of polygons (q, 4, 2) given on the plate."""
-    mask = np.zeros((size, size), dtype=np.uint8)
-    fine = (polygons_m @ view.px_per_m.T + half) * _FINE - 0.5
+def _outlines(points_m: np.ndarray, view: MarkView, size: int, half: float) -> list[np.ndarray]:
+    """Outlines (k, 2) of slabs (q, 8, 2) on the plate, at fine coordinates, of those that may meet the mark."""
+    fine = (points_m @ view.px_per_m.T + half) * _FINE - 0.5
     meets = np.all((fine.min(axis=1) < size) & (fine.max(axis=1) > -1.0), axis=-1)
-    limit = 30_000.0  # far corners: the fixed-point coordinates must not overflow
-    for polygon in np.round(np.clip(fine[meets], -limit, limit) * 16.0).astype(np.int32):
-        cv2.fillConvexPoly(mask, polygon, 1, shift=4)
-    return mask
+    return [cv2.convexHull(corners.astype(np.float32))[:, 0] for corners in fine[meets]]
+
+
+def _cover(outlines: list[np.ndarray], size: int) -> np.ndarray:
+    """Share of every fine sample's square inside any of the outlines; true to area for slivers thinner than a square."""
+    left = np.ones((size, size), np.float32)
+    at = np.arange(size, dtype=np.float32)
+    for outline in outlines:
+        edge = np.roll(outline, -1, axis=0) - outline
+        length = np.hypot(edge[:, 0], edge[:, 1])
+        normal = np.stack([-edge[:, 1], edge[:, 0]], axis=1)[length > 1e-3] / length[length > 1e-3, None]
+        corner = outline[length > 1e-3]
+        if np.sum(normal * (outline.mean(axis=0) - corner)) < 0.0:
+            normal = -normal
+        outside = np.zeros((size, size), np.float32)
+        for (nx, ny), (cx, cy) in zip(normal, corner, strict=True):
+            beyond = np.add.outer(ny * (cy - at) + np.float32(0.5), nx * (cx - at))
+            np.clip(beyond, 0.0, 1.0, out=beyond)
+            outside += beyond
+        left *= np.minimum(outside, 1.0)
+    return 1.0 - left
 
 
 def _grown(mask: np.ndarray, by_px: float) -> np.ndarray:
@@ -103,10 +119,10 @@ def _shade(view: MarkView, size: int, half: float) -> tuple[np.ndarray, np.ndarr
     radius = _SUN_RADIUS / np.sqrt(2.0)
     hidden = np.stack(
         [
-            _fill(on_plate(view.sheets_m, sun, finite=False), view, size, half)
+            _cover(_outlines(on_plate(view.sheets_m, sun, finite=False), view, size, half), size)
             for sun in view.to_sun / np.linalg.norm(view.to_sun) + radius * ring @ across
         ]
-    ).astype(np.float32)
+    )
     slope = np.tensordot(ring.T * (2.0 / _SUN_POINTS * _TILT_STD / radius), hidden, axes=1)
     return hidden.mean(axis=0), np.asarray(slope, dtype=np.float32)
 
@@ -120,11 +136,11 @@ def _maps(view: MarkView) -> _Maps:
     inverse = np.linalg.inv(view.px_per_m)
     x, y = inverse[0, 0] * u + inverse[0, 1] * v, inverse[1, 0] * u + inverse[1, 1] * v
     scale = float(np.sqrt(abs(np.linalg.det(view.px_per_m))))
-    behind = _fill(on_plate(view.sheets_m, view.eye_m, finite=True), view, size, half)
-    hidden = _grown(behind, 0.2 + 0.003 * scale).astype(bool)
+    behind = _cover(_outlines(on_plate(view.sheets_m, view.eye_m, finite=True), view, size, half), size)
+    hidden = _grown((behind > 0.02).astype(np.uint8), 0.2 + 0.003 * scale).astype(bool)
     out = hidden | (np.hypot(x, y) > view.radius_m)
-    white = ((x * y > 0.0) & ~out).astype(np.float32)
-    black = ((x * y <= 0.0) & ~out).astype(np.float32)
+    white = (x * y > 0.0).astype(np.float32)
+    black = 1.0 - white
     shade, slope = _shade(view, size, half)
     raw = np.stack([white * (1.0 - shade), black * (1.0 - shade), white * shade, black * shade, out.astype(np.float32)])
     base = _blurred(raw)
@@ -151,16 +167,12 @@ def _maps(view: MarkView) -> _Maps:
 
 def _blurred(maps: np.ndarray) -> np.ndarray:
     """As pixels see them: Gaussian of the optics, then the pixel's square."""
-    out = [
-        cv2.boxFilter(
-            cv2.GaussianBlur(m, (0, 0), _BLUR_PX * _FINE, borderType=cv2.BORDER_REPLICATE),
-            -1,
-            (_FINE + 1, _FINE + 1),
-            borderType=cv2.BORDER_REPLICATE,
-        )
-        for m in maps
-    ]
-    return np.stack(out)
+    reach = round(3.5 * _BLUR_PX * _FINE)
+    gauss = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (_BLUR_PX * _FINE)) ** 2)
+    box = np.array([0.5, *np.ones(_FINE - 1), 0.5])
+    kernel = np.convolve(gauss, box)
+    kernel /= kernel.sum()
+    return np.stack([cv2.sepFilter2D(m, -1, kernel, kernel, borderType=cv2.BORDER_REPLICATE) for m in maps])
 
 
 def _search(window: np.ndarray, maps: _Maps) -> list[tuple[np.ndarray, float]]:

@@ -51,29 +51,23 @@ def to_sun(gps_time_s: float, gps_minus_utc_s: float, latitude_deg: float, longi
     )
 
 
-def sheet_quads(model: FrustumModel) -> np.ndarray:
-    """Corners of every face and of its other side, with the rims' strips between, target frame about the mark: (q, 4, 3). [m]"""
+def sheet_corners(model: FrustumModel) -> np.ndarray:
+    """Corners of the four sheets, each a convex slab of eight corners, target frame about the mark: (4, 8, 3). [m]"""
     b, shift = model.long_edge_m, max(model.thickness_m, 0.0) * np.sqrt(1.5)
     low, high = (0.25 * b, 0.5 * b) if model.inverted else (0.5 * b, 0.25 * b)
     z_low, z_high = (0.25 * b * SLOPE, 0.5 * b * SLOPE) if model.inverted else (0.0, 0.25 * b * SLOPE)
     other = shift if model.inverted else -shift
     corner = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
-
-    def ring(half: float, z: float) -> np.ndarray:
-        return np.column_stack([half * corner, np.full(4, z)])
-
-    rings = [ring(low, z_low), ring(high, z_high), ring(low + other, z_low), ring(high + other, z_high)]
-    quads = []
-    for first, second in ((0, 1), (2, 3), (0, 2), (1, 3)):
-        for i in range(4):
-            j = (i + 1) % 4
-            quads.append([rings[first][i], rings[first][j], rings[second][j], rings[second][i]])
-    return np.array(quads)
+    rings = [
+        np.column_stack([half * corner, np.full(4, z)])
+        for half, z in ((low, z_low), (high, z_high), (low + other, z_low), (high + other, z_high))
+    ]
+    return np.array([[ring[i] for ring in rings for i in (k, (k + 1) % 4)] for k in range(4)])
 
 
-def on_plate(quads_m: np.ndarray, towards: np.ndarray, *, finite: bool) -> np.ndarray:
-    """Quads (q, 4, 3) projected on the plate z = 0, (q, 4, 2): from a point `towards` [m] or along a direction."""
+def on_plate(points_m: np.ndarray, towards: np.ndarray, *, finite: bool) -> np.ndarray:
+    """Points (..., 3) projected on the plate z = 0, (..., 2): from a point `towards` [m] or along a direction."""
     if finite:
-        share = quads_m[..., 2:] / (towards[2] - quads_m[..., 2:])
-        return np.asarray(quads_m[..., :2] - share * (towards[:2] - quads_m[..., :2]))
-    return np.asarray(quads_m[..., :2] - quads_m[..., 2:] * towards[:2] / towards[2])
+        share = points_m[..., 2:] / (towards[2] - points_m[..., 2:])
+        return np.asarray(points_m[..., :2] - share * (towards[:2] - points_m[..., :2]))
+    return np.asarray(points_m[..., :2] - points_m[..., 2:] * towards[:2] / towards[2])

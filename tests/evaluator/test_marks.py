@@ -11,7 +11,7 @@ import scipy.ndimage
 
 from evaluator.observe.frustums import FrustumModel
 from evaluator.observe.marks import MarkFit, MarkView, find_mark
-from evaluator.observe.target_view import on_plate, sheet_quads, to_sun
+from evaluator.observe.target_view import sheet_corners, to_sun
 
 B, SHEET, RADIUS = 0.8, 0.0015, 0.16
 MODEL = FrustumModel(
@@ -41,6 +41,15 @@ def blocked(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
     return hit
 
 
+def disc_of(sun: np.ndarray) -> np.ndarray:
+    """Directions over the sun's disc, of equal weight: (19, 3). The evaluator has a ring of eight."""
+    across = np.cross(sun, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    k = np.arange(19)
+    r, turn = np.radians(0.2666) * np.sqrt((k + 0.5) / 19), 2.39996 * k
+    return np.asarray(sun + (r * np.cos(turn))[:, None] * across + (r * np.sin(turn))[:, None] * np.cross(sun, across))
+
+
 def picture(
     rng: np.random.Generator,
     view_deg: float,
@@ -53,7 +62,7 @@ def picture(
     noise: float = 0.006,
     blur_px: float = 0.45,
     offset: tuple[float, float] = (20.0, -15.0),
-    size: int = 116,
+    size: int = 76,
 ) -> tuple[np.ndarray, np.ndarray, MarkView]:
     """(picture, true centre, prediction). Nadir camera turned by `turn_deg`; the prediction is off by `offset` and 0.5 degrees."""
     fine = 8
@@ -74,7 +83,9 @@ def picture(
     plate = camera + height * ((uv[:, :1] / focal) * right + (uv[:, 1:] / focal) * down + [0.0, 0.0, -1.0])
     plate[:, 2] = 0.0
     seen = ~blocked(plate, np.broadcast_to(camera, plate.shape) - plate)
-    lit = ~blocked(plate, np.broadcast_to(sun, plate.shape))
+    near = np.max(np.abs(plate[:, :2]), axis=1) < 0.2
+    lit = np.ones(len(plate))
+    lit[near] = np.mean([~blocked(plate[near], np.broadcast_to(s, (near.sum(), 3))) for s in disc_of(sun)], axis=0)
     x, y = plate[:, 0], plate[:, 1]
     albedo = np.where(x * y > 0, 0.95, 0.05)
     albedo = np.where(np.hypot(x, y) > RADIUS, 0.6, albedo)
@@ -87,14 +98,14 @@ def picture(
     wrong = np.radians(0.5)
     steps = (pixel(np.array([[1e-3, 0, 0], [0, 1e-3, 0]])) - pixel(np.zeros((1, 3)))) / 1e-3
     turned = np.array([[np.cos(wrong), -np.sin(wrong)], [np.sin(wrong), np.cos(wrong)]]) @ steps.T
-    quads = sheet_quads(MODEL)
     off = camera + np.array([0.3, -0.3, 0.0])  # pose known to some decimetres only: boresight fault
     view = MarkView(
         predicted_px=centre + np.array(offset),
         px_per_m=turned,
         radius_m=RADIUS,
-        hidden_m=on_plate(quads, off, finite=True),
-        shaded_m=on_plate(quads, sun, finite=False),
+        sheets_m=sheet_corners(MODEL),
+        eye_m=off,
+        to_sun=sun,
     )
     return image, centre, view
 
