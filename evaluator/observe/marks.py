@@ -23,14 +23,19 @@ _SUN_RADIUS = np.radians(0.2666)
 _SUN_POINTS = 8
 _TILT_STD = np.radians(
     0.3
-)  # of the sun against the sheets: sheet-metal work, level of the plate; 2-3 mm of the shadow's place
+)  # of the sun against the sheets: sheet-metal work, level of the plate; 1-2 mm of the shadow's place
 _EDGE_STD = np.radians(2.0)  # direction of each edge against the predicted one
-_SHADE_SHARE = 0.35  # light in the shade over light in the sun
+_SHADE_SHARE, _SHADE_STD = 0.28, 0.12  # light in the shade over light in the sun: sky, and sunlit faces
 _LEAST_SHARE_PX = 0.02  # pixels of a region, below which it has no brightness of its own
 _LEAST_CORRELATION = 0.6
 _LEAST_CONTRAST = 0.35  # of white to black over white
 _LEAST_PIXELS = 35
 _FLOOR_PX = 0.004  # standard deviation below which no centre is stated
+_LARGEST_STD_PX = 0.05  # a centre that is known worse rests on what is known of the shadow, not on the sectors
+_WORST_FIT = 0.05  # residuals over contrast
+_CORRELATED = (
+    1.4  # neighbouring residuals have causes in common (penumbra, light from the faces): factor on the deviation
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +90,13 @@ def _cover(outlines: list[np.ndarray], size: int) -> np.ndarray:
             outside += beyond
         left *= np.minimum(outside, 1.0)
     return 1.0 - left
+
+
+def _centre_hidden(view: MarkView) -> bool:
+    """Whether a sheet stands before the centre and half a pixel around it. Inverted funnels never do; upright ones do from
+    35.26 degrees off the zenith along a side."""
+    outlines = _outlines(on_plate(view.sheets_m, view.eye_m, finite=True), view, 1, 0.5)
+    return any(cv2.pointPolygonTest(o, (_FINE / 2 - 0.5, _FINE / 2 - 0.5), True) > 0.5 * _FINE for o in outlines)
 
 
 def _grown(mask: np.ndarray, by_px: float) -> np.ndarray:
@@ -236,10 +248,10 @@ class _State:
 
 
 def _brightness_ties(regions: list[int], white: float, black: float, first: int, columns: int) -> np.ndarray:
-    """Weak knowledge of shade, as rows over their standard deviation: white in the shade has 0.35 +- 0.2 of its light in the
-    sun, and black has the same share. A sliver of shadow beside an edge could otherwise have any brightness and shift it."""
+    """Weak knowledge of shade, as rows over their standard deviation: white in the shade has 0.28 +- 0.12 of its light in
+    the sun, and black has the same share. A sliver of shadow beside an edge could otherwise have any brightness and shift it."""
     rows = []
-    for lit, shaded, std in ((0, 2, 0.2 * white), (1, 3, max(0.2 * black, 0.02 * white))):
+    for lit, shaded, std in ((0, 2, _SHADE_STD * white), (1, 3, max(_SHADE_STD * black, 0.02 * white))):
         if lit in regions and shaded in regions:
             row = np.zeros(columns)
             row[first + regions.index(lit)], row[first + regions.index(shaded)] = -_SHADE_SHARE, 1.0
@@ -367,6 +379,8 @@ def find_mark(
     radius_px = view.radius_m * float(np.sqrt(abs(np.linalg.det(view.px_per_m))))
     if radius_px < 4.0:
         return f"mark of {radius_px:.1f} px radius, 4 px are needed"
+    if _centre_hidden(view):
+        return "the funnel hides the centre"
     maps = _maps(view)
     reach = int(np.ceil(search_radius_px + maps.half_px + 2.0))
     middle = np.floor(view.predicted_px).astype(int)
@@ -417,18 +431,19 @@ def _fit_at(
     pair = best.coefficients[:2] if np.all(best.coefficients[:2]) else best.coefficients[2:]
     difference = abs(float(pair[0] - pair[1]))
     contrast = difference / max(float(np.max(np.abs(pair))), 1e-12)
-    std = float(np.sqrt(np.max(np.linalg.eigvalsh(best.covariance))))
+    covariance = _CORRELATED**2 * best.covariance + _FLOOR_PX**2 * np.eye(2)
+    std = float(np.sqrt(np.max(np.linalg.eigvalsh(covariance))))
     if contrast < _LEAST_CONTRAST:
         return f"contrast of {contrast:.2f} between the sectors"
-    if best.rms > 0.12 * difference:
+    if best.rms > _WORST_FIT * difference:
         return f"the pattern fits badly (residuals {best.rms / difference:.2f} of the contrast)"
-    if std > 0.35:
+    if std > _LARGEST_STD_PX:
         return f"centre not determined (standard deviation {std:.2f} px)"
     if np.linalg.norm(best.centre - place) > 2.5:
         return "the fit left the pattern that was found"
     return MarkFit(
         uv_px=best.centre,
-        covariance_px2=best.covariance + _FLOOR_PX**2 * np.eye(2),
+        covariance_px2=covariance,
         radius_px=radius_px,
         correlation=correlation,
         contrast=contrast,
