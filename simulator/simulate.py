@@ -154,7 +154,7 @@ def _fly_camera(world: Range, place: CampaignFolder, progress: Report) -> None:
             radiance = _radiance(world, pose, strip, index, time)
             image = f"sorties/{sortie.number:02d}/images/{name}.tif"
             marks += record_truth.marks_in(config.camera, world.scene, pose, image)
-            tags = _tags(world, estimated, time + config.faults.camera_clock_s)
+            tags = _tags(world, estimated, time + config.faults.camera_clock_s, exposing.exposure_time_s)
             noise = generator(config.seed, Stream.CAMERA_NOISE, sortie.number, strip.number, index)
             while len(waiting) >= WAITING_FRAMES:
                 waiting.popleft().result()
@@ -228,7 +228,7 @@ def _develop(
     images.write_preview(path.with_suffix(".jpg"), sensor.preview(dn, config.camera), tags)
 
 
-def _tags(world: Range, estimated: Motion, stamped_s: float) -> images.ImageTags:
+def _tags(world: Range, estimated: Motion, stamped_s: float, exposure_time_s: float) -> images.ImageTags:
     camera = world.config.camera
     at = np.array([stamped_s])
     latitude, longitude, height = world.frame.geodetic_from_world(estimated.position(at))
@@ -238,7 +238,7 @@ def _tags(world: Range, estimated: Motion, stamped_s: float) -> images.ImageTags
         camera_name=camera.name,
         manufacturer=camera.manufacturer,
         gps_time_s=stamped_s,
-        exposure_time_s=camera.exposure_time_s,
+        exposure_time_s=exposure_time_s,
         f_number=camera.f_number,
         focal_length_mm=camera.nominal_focal_length_mm,
         pixel_size_um=camera.pixel_size_um,
