@@ -20,7 +20,7 @@ _BLUR_PX, _BLUR_STEP_PX = (
     0.3,
 )  # standard deviation before the pixel's own box; its spread is fitted between +- the step
 _SUN_RADIUS = np.radians(0.2666)
-_SUN_POINTS = 8
+_SUN_POINTS = 6
 _TILT_STD = np.radians(
     0.3
 )  # of the sun against the sheets: sheet-metal work, level of the plate; 1-2 mm of the shadow's place
@@ -83,12 +83,17 @@ def _cover(outlines: list[np.ndarray], size: int) -> np.ndarray:
         corner = outline[length > 1e-3]
         if np.sum(normal * (outline.mean(axis=0) - corner)) < 0.0:
             normal = -normal
+        # distance beyond an edge is linear over the map: its extremes are at the corners
+        middle = np.sum(normal * (corner - 0.5 * (size - 1)), axis=1) + 0.5
+        reach = 0.5 * (size - 1) * np.abs(normal).sum(axis=1)
+        if np.any(middle - reach >= 1.0):
+            continue
         outside = np.zeros((size, size), np.float32)
-        for (nx, ny), (cx, cy) in zip(normal, corner, strict=True):
+        for k in np.flatnonzero(middle + reach > 0.0):
+            (nx, ny), (cx, cy) = normal[k], corner[k]
             beyond = np.add.outer(ny * (cy - at) + np.float32(0.5), nx * (cx - at))
-            np.clip(beyond, 0.0, 1.0, out=beyond)
-            outside += beyond
-        left *= np.minimum(outside, 1.0)
+            outside += np.clip(beyond, 0.0, 1.0, out=beyond)
+        left *= np.minimum(outside, 1.0, out=outside)
     return 1.0 - left
 
 
@@ -347,7 +352,7 @@ def _refine(samples: _Samples, maps: _Maps, view: MarkView, start: np.ndarray, i
             rms=float(np.sqrt(variance)),
             pixels=int(usable.sum()),
         )
-        if np.abs(step).max() < 1e-4:
+        if np.abs(step).max() < 1e-3:
             break
     return state
 

@@ -42,7 +42,7 @@ def blocked(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
 
 
 def disc_of(sun: np.ndarray) -> np.ndarray:
-    """Directions over the sun's disc, of equal weight: (19, 3). The evaluator has a ring of eight."""
+    """Directions over the sun's disc, of equal weight: (19, 3). The evaluator has a ring of six."""
     across = np.cross(sun, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across)
     k = np.arange(19)
