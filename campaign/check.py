@@ -27,7 +27,7 @@ from campaign.records import (
 )
 from campaign.sensors import CameraSheet, LidarSheet, read_camera, read_lidar, read_rig
 from campaign.survey import crs_wkt, far_targets, read_spectra, read_targets
-from campaign.trajectory import Trajectory, beijing_time, read_trajectory
+from campaign.trajectory import Trajectory, beijing_time, misplaced, read_trajectory
 from campaign.truth import read_truth, verify_truth
 
 T = TypeVar("T")
@@ -114,6 +114,10 @@ class _Check:
             yield
         except TestrangeError as error:
             for line in error.problems:
+                other, _, rest = line.removeprefix(f"{self.folder.root}/").partition(": ")
+                if rest and line.startswith(f"{self.folder.root}/") and not line.startswith(str(path)):
+                    self.problems.append(Problem(severity="error", where=other, message=rest))
+                    continue
                 message = line.removeprefix(str(path)).lstrip(": ").replace(f"{self.folder.root}/", "")
                 message = message.removeprefix(f"{self.folder.root}: ")
                 self.add("error", path, message)
@@ -196,6 +200,9 @@ def _check_sortie(
             )
         trajectory = check.read(sortie.trajectory_sbet, lambda path: read_trajectory(path, rms, week))
     if trajectory is not None and manifest is not None:
+        wrong = misplaced(trajectory, manifest.latitude_deg, manifest.longitude_deg)
+        if wrong:
+            check.add("error", sortie.trajectory_sbet, wrong)
         _check_date(check, sortie, trajectory, manifest)
     check.read_part(sortie.environment, read_environment)
     exposures = check.read_part(sortie.exposures, read_exposures) or []

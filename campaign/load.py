@@ -17,8 +17,9 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from campaign.config import Config
-from campaign.errors import ConfigError
+from campaign.errors import CampaignError, ConfigError
 from campaign.formats.toml import toml_text
+from campaign.survey import crs_wkt
 
 MAX_BYTES = 1_000_000
 DEVICE_FOLDERS = {"camera": "sensors", "lidar": "sensors", "platform": "platforms", "site": "sites"}
@@ -41,6 +42,65 @@ _PLAUSIBLE: dict[str, tuple[float, float, str]] = {
     "targets.frustums.long_edge_m": (0.02, 20.0, "metres"),
     "targets.frustums.thickness_m": (0.0, 0.05, "metres"),
     "flight.heights_m": (1.0, 10_000.0, "metres"),
+    "flight.speed_m_s": (0.2, 60.0, "metres a second"),
+    "flight.run_in_m": (0.0, 1000.0, "metres"),
+    "flight.image_spacing_m": (0.01, 1000.0, "metres"),
+    "site.texture_scale_m": (1e-3, 100.0, "metres"),
+    "environment.visibility_km": (0.01, 1000.0, "kilometres"),
+    "environment.wind_speed_m_s": (0.0, 60.0, "metres a second"),
+    "environment.wind_from_deg": (0.0, 360.0, "degrees"),
+    "environment.aerosol_optical_depth_500nm": (0.0, 5.0, "optical depths"),
+    "environment.precipitable_water_cm": (0.0, 20.0, "centimetres"),
+    "environment.ozone_atm_cm": (0.0, 2.0, "atm-cm"),
+    "targets.panels.thickness_m": (1e-4, 0.5, "metres"),
+    "targets.panels.stand_height_m": (0.0, 10.0, "metres"),
+    "targets.panels.spectrum_std": (0.0, 0.5, "parts of the level"),
+    "targets.frustums.mark_radius_m": (0.005, 5.0, "metres"),
+    "targets.frustums.stand_heights_m": (0.0, 10.0, "metres"),
+    "targets.survey.horizontal_std_m": (0.0, 5.0, "metres"),
+    "targets.survey.height_std_m": (0.0, 5.0, "metres"),
+    "targets.survey.spectrometer_std": (0.0, 0.5, "parts of the value"),
+    "camera.f_number": (0.3, 64.0, "focal lengths"),
+    "camera.full_well_e": (10.0, 1e8, "electrons"),
+    "camera.read_noise_e": (0.0, 1e4, "electrons"),
+    "camera.dark_current_e_s": (0.0, 1e6, "electrons a second"),
+    "camera.dsnu_e": (0.0, 1e5, "electrons"),
+    "camera.prnu": (0.0, 0.5, "parts of the gain"),
+    "camera.psf_sigma_px": (0.0, 20.0, "pixels"),
+    "camera.readout_time_s": (0.0, 1.0, "seconds"),
+    "lidar.pulse_energy_uj": (1e-6, 1e6, "microjoules"),
+    "lidar.receiver_fwhm_ns": (0.0, 100.0, "nanoseconds"),
+    "lidar.full_scale_power_nw": (1e-3, 1e12, "nanowatts"),
+    "lidar.noise_dn": (0.0, 1e4, "DN"),
+    "lidar.shot_noise_dn": (0.0, 1e4, "DN"),
+    "lidar.solar_background_dn": (0.0, 1e4, "DN"),
+    "lidar.gain_jitter": (0.0, 0.5, "parts of the energy"),
+    "lidar.range_noise_m": (0.0, 1.0, "metres"),
+    "lidar.threshold_sigma": (0.5, 1000.0, "standard deviations"),
+    "lidar.min_range_m": (0.0, 1000.0, "metres"),
+    "lidar.stated_precision_m": (1e-5, 1.0, "metres"),
+    "lidar.stated_accuracy_m": (1e-5, 1.0, "metres"),
+    "lidar.encoder_std_deg": (0.0, 1.0, "degrees"),
+    "platform.max_acceleration_m_s2": (0.05, 50.0, "metres a second squared"),
+    "platform.roll_std_deg": (0.0, 20.0, "degrees"),
+    "platform.pitch_std_deg": (0.0, 20.0, "degrees"),
+    "platform.heading_std_deg": (0.0, 20.0, "degrees"),
+    "platform.attitude_period_s": (0.05, 600.0, "seconds"),
+    "platform.track_std_m": (0.0, 10.0, "metres"),
+    "platform.pitch_per_speed_deg_s_m": (0.0, 5.0, "degrees for 1 m/s"),
+    "platform.camera.lever_arm_m": (0.0, 20.0, "metres"),
+    "platform.lidar.lever_arm_m": (0.0, 20.0, "metres"),
+    "platform.camera.boresight_deg": (0.0, 360.0, "degrees"),
+    "platform.lidar.boresight_deg": (0.0, 360.0, "degrees"),
+    "platform.mounting_boresight_std_deg": (1e-4, 20.0, "degrees"),
+    "platform.mounting_lever_arm_std_m": (1e-4, 5.0, "metres"),
+    "navigation.position_correlation_s": (0.01, 1e6, "seconds"),
+    "navigation.attitude_correlation_s": (0.01, 1e6, "seconds"),
+    "navigation.clock_std_s": (0.0, 1.0, "seconds"),
+    "navigation.position_std_m": (0.0, 100.0, "metres"),
+    "navigation.attitude_std_deg": (0.0, 20.0, "degrees"),
+    "faults.lidar_gain": (1e-4, 1e4, "factors"),
+    "faults.camera_gain": (1e-4, 1e4, "factors"),
     "faults.camera_boresight_deg": (0.0, 45.0, "degrees"),
     "faults.lidar_boresight_deg": (0.0, 45.0, "degrees"),
     "faults.camera_lever_arm_m": (0.0, 5.0, "metres"),
@@ -299,6 +359,12 @@ def _cross_checks(config: Config) -> Iterator[str]:
     stated = camera.nominal_focal_length_mm * 1000.0 / camera.pixel_size_um
     if not 0.7 < camera.lens.fx_px / stated < 1.43:
         yield f"camera.lens.fx_px: got {camera.lens.fx_px:g}; expected about {stated:.0f} by focal length and pixel size"
+    elif not 0.9 < camera.lens.fy_px / camera.lens.fx_px < 1.1:
+        yield f"camera.lens.fy_px: got {camera.lens.fy_px:g}; expected about camera.lens.fx_px = {camera.lens.fx_px:g}"
+    if max(camera.calibration_std[:4]) > 0.05 * camera.lens.fx_px or max(camera.calibration_std[4:]) > 0.5:
+        yield "camera.calibration_std: expected at most 5 % of fx_px for fx fy cx cy, in pixels, and 0.5 for the distortion"
+    if max(abs(k) for k in (camera.lens.k1, camera.lens.k2, camera.lens.k3, camera.lens.p1, camera.lens.p2)) > 10.0:
+        yield "camera.lens: a distortion coefficient above 10; expected those of normalised image coordinates, not of pixels"
     if len({band.name for band in camera.bands}) < len(camera.bands):
         yield "camera.bands: two bands have the same name"
     if camera.black_level_dn >= 2**camera.bit_depth - 1:
@@ -309,6 +375,10 @@ def _cross_checks(config: Config) -> Iterator[str]:
         yield 'camera.readout_time_s is 0; expected a positive time with shutter = "rolling"'
     if any(not 0.0 < r <= 100.0 for r in config.targets.panels.nominal_reflectance_percent):
         yield "targets.panels.nominal_reflectance_percent: expected values above 0 and at most 100"
+    try:
+        crs_wkt(config.site.projection_epsg, config.site.height_epsg, "WKT1_GDAL")
+    except CampaignError as error:
+        yield f"site.projection_epsg, site.height_epsg: {error}"
     epsg, longitude = config.site.projection_epsg, config.site.longitude_deg
     if 4513 <= epsg <= 4554:
         meridian = 75.0 + 3.0 * ((epsg - 4513) % 21)
@@ -324,6 +394,8 @@ def _implausible(config: Config) -> Iterator[str]:
         value: Any = config
         for part in key.split("."):
             value = getattr(value, part)
+        if value is None:
+            continue
         for number in value if isinstance(value, tuple) else (value,):
             if not least <= abs(number) <= most:
                 yield f"{key}: got {number:g}; expected {least:g} to {most:g} in {unit}; is the unit wrong?"

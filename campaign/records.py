@@ -12,26 +12,29 @@ from campaign.formats.text import (
     Parse,
     file_name,
     identifier,
-    non_negative,
     number,
     optional,
-    positive,
     read_model,
     read_rows,
     whole,
+    within,
     write_model,
     write_rows,
 )
 
+# Beyond these a value can only be in a wrong unit.
+Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
+Metres = Annotated[float, Field(ge=-1e8, le=1e8)]
+
 
 class PlannedStrip(Model):
-    sortie: int
-    strip: int
-    heading_deg: float
-    height_m: float = Field(description="above the site's origin, design height")
-    speed_m_s: float
-    start_en_m: tuple[float, float] = Field(description="map easting, northing where the strip begins")
-    end_en_m: tuple[float, float]
+    sortie: Annotated[int, Field(ge=0, le=9999)]
+    strip: Annotated[int, Field(ge=0, le=9999)]
+    heading_deg: Annotated[float, Field(ge=-360.0, le=720.0)]
+    height_m: Annotated[float, Field(gt=0.0, le=20_000.0)] = Field(description="above the site's origin, design height")
+    speed_m_s: Annotated[float, Field(gt=0.0, le=200.0)]
+    start_en_m: tuple[Metres, Metres] = Field(description="map easting, northing where the strip begins")
+    end_en_m: tuple[Metres, Metres]
     images: int
 
 
@@ -40,18 +43,22 @@ class FlightPlan(Model):
 
     aircraft: str
     aircraft_kind: Literal["multirotor", "fixed_wing"]
-    takeoff_lat_lon_deg: tuple[float, float]
-    area_lat_lon_deg: tuple[tuple[float, float], ...] = Field(description="corners of the flight area")
-    area_m2: float
+    takeoff_lat_lon_deg: tuple[Degrees, Degrees]
+    area_lat_lon_deg: tuple[tuple[Degrees, Degrees], ...] = Field(description="corners of the flight area")
+    area_m2: Annotated[float, Field(ge=0.0, le=1e10)]
     map_sheet: str = Field(description="1:10 000 sheet number after GB/T 13989, where the site lies")
     season: str
     start_time: str = Field(description="ISO 8601, Beijing time")
-    duration_s: float
+    duration_s: Annotated[float, Field(ge=0.0, le=1e6)]
     deadline: str
     requirements: str = ""
-    gsd_m: float = Field(description="of the lowest height, formula (1)")
-    site_height_m: float = Field(description="normal height of the site's origin")
-    ground_slope_deg: float = Field(description="from the reconnaissance survey, 6.2.1 b")
+    gsd_m: Annotated[float, Field(gt=0.0, le=100.0)] = Field(description="of the lowest height, formula (1)")
+    site_height_m: Annotated[float, Field(ge=-1000.0, le=10_000.0)] = Field(
+        description="normal height of the site's origin"
+    )
+    ground_slope_deg: Annotated[float, Field(ge=0.0, le=90.0)] = Field(
+        description="from the reconnaissance survey, 6.2.1 b"
+    )
     obstacle_angle_deg: float = Field(description="greatest, seen from the take-off point, 7.2 a")
     static_check_s: float = Field(description="static position check before take-off, 7.2 b")
     static_check_std_m: float
@@ -105,22 +112,30 @@ class LidarObservation:
     point: int
 
 
+def strip_number(text: str) -> int:
+    """A strip's number: 0 to 9999, as its file is named."""
+    value = whole(text)
+    if value > 9999:
+        raise ValueError("0 to 9999")
+    return value
+
+
 EXPOSURE_COLUMNS: dict[str, Parse] = {
     "image": file_name,
-    "gps_time_s": number,
-    "strip": whole,
-    "exposure_time_s": positive,
-    "gain_e_per_dn": positive,
-    "focus_distance_m": positive,
+    "gps_time_s": within(-1e9, 1e10, "s of adjusted GPS time"),
+    "strip": strip_number,
+    "exposure_time_s": within(1e-7, 100.0, "s"),
+    "gain_e_per_dn": within(1e-6, 1e6, "e/DN"),
+    "focus_distance_m": within(0.01, 1e6, "m"),
 }
 ENVIRONMENT_COLUMNS: dict[str, Parse] = {
-    "gps_time_s": number,
-    "illuminance_lx": optional(non_negative),
-    "wind_speed_m_s": optional(non_negative),
-    "wind_from_deg": optional(number),
-    "temperature_c": optional(number),
-    "pressure_hpa": optional(positive),
-    "relative_humidity_percent": optional(non_negative),
+    "gps_time_s": within(-1e9, 1e10, "s of adjusted GPS time"),
+    "illuminance_lx": optional(within(0.0, 1e6, "lx")),
+    "wind_speed_m_s": optional(within(0.0, 100.0, "m/s")),
+    "wind_from_deg": optional(within(-360.0, 360.0, "degrees")),
+    "temperature_c": optional(within(-90.0, 70.0, "degrees Celsius")),
+    "pressure_hpa": optional(within(200.0, 1200.0, "hPa")),
+    "relative_humidity_percent": optional(within(0.0, 110.0, "%")),
     "satellites": optional(whole),
 }
 CAMERA_OBSERVATION_COLUMNS: dict[str, Parse] = {

@@ -1,13 +1,19 @@
 """sensors/camera.json, lidar.json, rig.json: what makers and the calibration laboratory state. Never the truth."""
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from campaign.config import Band, Lens, Model, NonNegative, Positive, Vector3
+from campaign.config import Band, Lens, Model, NonNegative
 from campaign.errors import CampaignError
 from campaign.formats.text import read_model, write_model
+
+# Beyond these a value can only be in a wrong unit.
+Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
+Arm = Annotated[float, Field(ge=-100.0, le=100.0)]
+Spread = Annotated[float, Field(ge=0.0, le=100.0)]
 
 
 class Calibration(Model):
@@ -24,36 +30,38 @@ class CameraSheet(Model):
     manufacturer: str = ""
     width_px: Annotated[int, Field(gt=0, le=20000)]
     height_px: Annotated[int, Field(gt=0, le=20000)]
-    pixel_size_um: Positive
-    nominal_focal_length_mm: Positive
-    f_number: Positive
+    pixel_size_um: Annotated[float, Field(ge=0.1, le=1000.0)]
+    nominal_focal_length_mm: Annotated[float, Field(ge=0.1, le=10_000.0)]
+    f_number: Annotated[float, Field(ge=0.1, le=1000.0)]
     bit_depth: Annotated[int, Field(ge=8, le=16)]
     black_level_dn: NonNegative
     bands: tuple[Band, ...]
     shutter: Literal["global", "rolling"] = "global"
-    readout_time_s: NonNegative = 0.0
+    readout_time_s: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
     calibration: Calibration | None = None
 
 
 class LidarSheet(Model):
     name: str
     manufacturer: str = ""
-    wavelength_nm: Positive
-    prr_hz: Positive
+    wavelength_nm: Annotated[float, Field(ge=200.0, le=20_000.0)]
+    prr_hz: Annotated[float, Field(ge=1.0, le=1e9)]
     scanner: Literal["line", "channels"]
-    scan_rate_hz: Positive
-    sector_deg: tuple[float, float]
-    divergence_rad: Positive
+    scan_rate_hz: Annotated[float, Field(ge=1e-3, le=1e6)]
+    sector_deg: tuple[Degrees, Degrees]
+    divergence_rad: Annotated[float, Field(ge=1e-7, le=1.0)]
     divergence_definition: Literal["1/e2", "fwhm"] = "1/e2"
-    pulse_fwhm_ns: Positive
-    echo_fwhm_ns: Positive = Field(description="of the received pulse from a flat target (pulse and receiver)")
-    sampling_ns: Positive
+    pulse_fwhm_ns: Annotated[float, Field(ge=0.01, le=1000.0)]
+    echo_fwhm_ns: Annotated[float, Field(ge=0.01, le=1000.0)] = Field(
+        description="of the received pulse from a flat target (pulse and receiver)"
+    )
+    sampling_ns: Annotated[float, Field(ge=1e-3, le=1000.0)]
     bit_depth: Annotated[int, Field(ge=8, le=16)]
     baseline_dn: NonNegative
-    precision_m: Positive
-    accuracy_m: Positive
-    encoder_std_deg: NonNegative = 0.001
-    min_range_m: NonNegative
+    precision_m: Annotated[float, Field(ge=1e-6, le=10.0)]
+    accuracy_m: Annotated[float, Field(ge=1e-6, le=10.0)]
+    encoder_std_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 0.001
+    min_range_m: Annotated[float, Field(ge=0.0, le=10_000.0)]
     max_returns: Annotated[int, Field(ge=1, le=15)]
     amplitude_unit: Literal["linear", "db"] = "linear"
 
@@ -61,23 +69,23 @@ class LidarSheet(Model):
 class MountingSheet(Model):
     """Nominal mounting and how far the true one may be off (one standard deviation, an axis)."""
 
-    lever_arm_m: Vector3
-    boresight_deg: Vector3
+    lever_arm_m: tuple[Arm, Arm, Arm]
+    boresight_deg: tuple[Degrees, Degrees, Degrees]
     axes: Literal["frd", "rdf_nadir"] = Field(
         description="frd: zero boresight is the identity; rdf_nadir: x right = body y, y down = body -x, z forward = body z"
     )
-    boresight_std_deg: Positive
-    lever_arm_std_m: Positive
+    boresight_std_deg: Annotated[float, Field(ge=1e-6, le=45.0)]
+    lever_arm_std_m: Annotated[float, Field(ge=1e-6, le=10.0)]
 
 
 class NavigationSheet(Model):
     """Stochastic model of the post-processed trajectory's errors: first-order Gauss-Markov, exp(-|dt|/T)."""
 
     grade: str
-    position_std_m: Vector3
-    attitude_std_deg: Vector3
-    position_correlation_s: Positive
-    attitude_correlation_s: Positive
+    position_std_m: tuple[Spread, Spread, Spread]
+    attitude_std_deg: tuple[Spread, Spread, Spread]
+    position_correlation_s: Annotated[float, Field(ge=1e-3, le=1e7)]
+    attitude_correlation_s: Annotated[float, Field(ge=1e-3, le=1e7)]
 
 
 class Rig(Model):
@@ -99,13 +107,47 @@ def read_camera(path: Path) -> CameraSheet:
     if not 1 <= len(sheet.bands) <= 3:
         raise CampaignError("number of bands", where=f"{path} bands", got=len(sheet.bands), expected="1 to 3")
     if sheet.calibration is not None:
+        _check_lens(path, sheet, sheet.calibration.lens)
         covariance = sheet.calibration.covariance
         square = len(covariance) == 9 and all(len(row) == 9 for row in covariance)
         if not square or any(abs(covariance[i][j] - covariance[j][i]) > 1e-9 for i in range(9) for j in range(i)):
             raise CampaignError("not a covariance", where=f"{path} calibration.covariance", expected="9 x 9, symmetric")
         if any(covariance[i][i] < 0.0 for i in range(9)):
             raise CampaignError("a variance is negative", where=f"{path} calibration.covariance", expected="0 or above")
+        if any(covariance[i][i] > (100.0 if i >= 4 else sheet.width_px**2) for i in range(9)):
+            raise CampaignError(
+                "a variance is not plausible",
+                where=f"{path} calibration.covariance",
+                expected="px squared, in the lens' order",
+            )
+        if any(
+            abs(covariance[i][j]) > 1.0001 * math.sqrt(covariance[i][i] * covariance[j][j])
+            for i in range(9)
+            for j in range(i)
+        ):
+            raise CampaignError(
+                "a correlation exceeds 1", where=f"{path} calibration.covariance", expected="a covariance"
+            )
     return sheet
+
+
+def _check_lens(path: Path, sheet: CameraSheet, lens: Lens) -> None:
+    """A lens in other units than pixels and normalised coordinates is refused."""
+    stated = sheet.nominal_focal_length_mm * 1000.0 / sheet.pixel_size_um
+    where = f"{path} calibration.lens"
+    if not (0.5 < lens.fx_px / stated < 2.0 and 0.5 < lens.fy_px / stated < 2.0):
+        raise CampaignError(
+            "the focal length is not plausible",
+            where=where,
+            got=f"{lens.fx_px:g}, {lens.fy_px:g} px",
+            expected=f"about {stated:.0f} px by focal length and pixel size",
+        )
+    if not (lens.cx_px < sheet.width_px and lens.cy_px < sheet.height_px):
+        raise CampaignError(
+            "the principal point lies outside the image", where=where, expected="pixels from its corner"
+        )
+    if max(abs(k) for k in (lens.k1, lens.k2, lens.k3, lens.p1, lens.p2)) > 10.0:
+        raise CampaignError("a distortion is above 10", where=where, expected="on normalised image coordinates")
 
 
 def read_lidar(path: Path) -> LidarSheet:
@@ -120,7 +162,4 @@ def read_lidar(path: Path) -> LidarSheet:
 
 def read_rig(path: Path) -> Rig:
     """Raises CampaignError naming the key."""
-    rig = read_model(path, Rig)
-    if min(rig.navigation.position_std_m + rig.navigation.attitude_std_deg) < 0.0:
-        raise CampaignError("a standard deviation is negative", where=f"{path} navigation", expected="0 or above")
-    return rig
+    return read_model(path, Rig)

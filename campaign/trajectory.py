@@ -12,6 +12,8 @@ from campaign.formats.text import write_rows
 WEEK_S = 604_800
 ADJUSTED_OFFSET_S = 1_000_000_000
 GPS_MINUS_UTC_S = 18
+MAX_AWAY_DEG = 0.5  # of a record from the site's origin, north; three times that east
+MAX_HOLE_S = 2.0  # over which a position may be interpolated
 _ARCMIN = np.pi / 180.0 / 60.0
 
 
@@ -132,6 +134,20 @@ def read_trajectory(sbet: Path, smrmsg: Path | None, gps_week: int) -> Trajector
         position_std_m=position_std,
         attitude_std_rad=attitude_std,
     )
+
+
+def misplaced(trajectory: Trajectory, latitude_deg: float, longitude_deg: float) -> str | None:
+    """Why a trajectory cannot be the site's: it is elsewhere on the Earth, or has a hole."""
+    north = np.abs(np.degrees(trajectory.latitude_rad) - latitude_deg)
+    east = np.abs((np.degrees(trajectory.longitude_rad) - longitude_deg + 180.0) % 360.0 - 180.0)
+    if float(north.max()) > MAX_AWAY_DEG or float(east.max()) > MAX_AWAY_DEG * 3.0:
+        at = f"{np.degrees(trajectory.latitude_rad[0]):.4f}, {np.degrees(trajectory.longitude_rad[0]):.4f}"
+        return f"begins far from the site; got {at} degrees; expected near {latitude_deg:.4f}, {longitude_deg:.4f}"
+    steps = np.diff(trajectory.gps_time_s)
+    if steps.size and float(steps.max()) > max(MAX_HOLE_S, 3.0 * float(np.median(steps))):
+        hole = int(np.argmax(steps))
+        return f"has a hole of {steps[hole]:.1f} s after record {hole}; expected records without a gap"
+    return None
 
 
 def _write_doubles(path: Path, columns: list[np.ndarray]) -> None:

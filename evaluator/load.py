@@ -10,7 +10,7 @@ from campaign.manifest import read_manifest
 from campaign.records import read_environment, read_exposures, read_plan
 from campaign.sensors import read_camera, read_lidar, read_rig
 from campaign.survey import far_targets, read_spectra, read_targets
-from campaign.trajectory import read_trajectory
+from campaign.trajectory import Trajectory, misplaced, read_trajectory
 from evaluator.model import CampaignData, SortieData
 
 T = TypeVar("T")
@@ -41,13 +41,18 @@ def load_campaign(root: Path) -> CampaignData:
             problems.append(in_folder(error, root))
             return None
 
-    def sortie(place: SortieFolder) -> SortieData:
+    def trajectory(place: SortieFolder) -> Trajectory:
         rms = place.trajectory_rms if place.trajectory_rms.exists() else None
+        found = read_trajectory(place.trajectory_sbet, rms, manifest.gps_week)
+        wrong = misplaced(found, manifest.latitude_deg, manifest.longitude_deg)
+        if wrong:
+            raise CampaignError(wrong, where=str(place.trajectory_sbet))
+        return found
+
+    def sortie(place: SortieFolder) -> SortieData:
         return SortieData(
             folder=place,
-            trajectory=part(
-                place.trajectory_sbet, lambda: read_trajectory(place.trajectory_sbet, rms, manifest.gps_week)
-            ),
+            trajectory=part(place.trajectory_sbet, lambda: trajectory(place)),
             exposures=tuple(part(place.exposures, lambda: read_exposures(place.exposures)) or ()),
             environment=tuple(part(place.environment, lambda: read_environment(place.environment)) or ()),
             strips=_strips(place),

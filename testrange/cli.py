@@ -7,6 +7,7 @@ import errno
 import json
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -254,6 +255,23 @@ def _fail(text: str, code: int) -> int:
     return code
 
 
+def _one_line(error: BaseException) -> str:
+    told = " ".join(str(error).split())[:200]
+    return f"{told}; please report it, with what TESTRANGE_TRACEBACK=1 prints"
+
+
+def _innermost(error: BaseException) -> str:
+    """File and line of our own that was running."""
+    here = Path(__file__).resolve().parent.parent
+    place, trace = "testrange", error.__traceback__
+    while trace is not None:
+        file = Path(trace.tb_frame.f_code.co_filename)
+        if file.is_relative_to(here) and "site-packages" not in file.relative_to(here).parts:
+            place = f"{file.relative_to(here)}:{trace.tb_lineno}"
+        trace = trace.tb_next
+    return place
+
+
 def call(arguments: Sequence[str]) -> int:
     """Runs one command line; returns its exit code."""
     try:
@@ -275,9 +293,15 @@ def call(arguments: Sequence[str]) -> int:
                 f"{error.filename or 'output'}: no space left on the disk; free some or choose another place", 1
             )
         return _fail(f"{error.filename or 'file'}: {error.strerror or error}", 1)
+    except Exception as error:
+        if os.environ.get("TESTRANGE_TRACEBACK"):
+            raise
+        return _fail(f"{_innermost(error)}: internal error: {type(error).__name__}; {_one_line(error)}", 1)
     return result if isinstance(result, int) else 0
 
 
 def main() -> None:
     """Entry point of the command `testrange`."""
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")  # what a library thinks of a value is no news to the user
     sys.exit(call(sys.argv[1:]))

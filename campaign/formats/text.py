@@ -49,6 +49,18 @@ def positive(text: str) -> float:
     return value
 
 
+def within(low: float, high: float, unit: str) -> Parse:
+    """A number between two limits beyond which it can only be in a wrong unit."""
+
+    def parse(text: str) -> float:
+        value = number(text)
+        if not low <= value <= high:
+            raise ValueError(f"{low:g} to {high:g} {unit}")
+        return value
+
+    return parse
+
+
 def whole(text: str) -> int:
     """A whole number that is not negative."""
     if not text.isascii() or not text.isdigit() or len(text) > 15:
