@@ -27,7 +27,8 @@ from evaluator.model import (
 )
 from evaluator.mounting_model import Problem, SurveyedMark
 from evaluator.observe.frustums import FrustumModel, find_vertex, frustum_model
-from evaluator.observe.marks import MarkView, find_mark
+from evaluator.observe.mark_view import MarkView
+from evaluator.observe.marks import find_mark
 from evaluator.observe.target_view import sheet_corners, to_sun
 
 _HAND_STD_PX = 0.5  # of a pixel that a person picked

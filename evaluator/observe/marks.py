@@ -3,27 +3,16 @@
 The appearance of the mark is known up to its place, the two edges' directions, blur, the brightness of white and black in sun
 and shade, and some millimetres in the place of the shadow. Pixels at the edge of the funnel or of the disc are left out; the
 others decide by least squares.
-What hides and shades the mark comes from `target_view`; vertices in point clouds live in `frustums`.
+What the mark should look like comes from `mark_view`; vertices in point clouds live in `frustums`.
 """
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import scipy.signal
 
-from evaluator.observe.target_view import on_plate
+from evaluator.observe.mark_view import FINE, Maps, MarkView, appearance, centre_hidden
 
-_FINE = 6  # samples a pixel and axis in the maps
-_BLUR_PX, _BLUR_STEP_PX = (
-    0.5,
-    0.3,
-)  # standard deviation before the pixel's own box; its spread is fitted between +- the step
-_SUN_RADIUS = np.radians(0.2666)
-_SUN_POINTS = 6
-_TILT_STD = np.radians(
-    0.3
-)  # of the sun against the sheets: sheet-metal work, level of the plate; 1-2 mm of the shadow's place
 _EDGE_STD = np.radians(2.0)  # direction of each edge against the predicted one
 _SHADE_SHARE, _SHADE_STD = 0.28, 0.12  # light in the shade over light in the sun: sky, and sunlit faces
 _LEAST_SHARE_PX = 0.02  # pixels of a region, below which it has no brightness of its own
@@ -34,22 +23,8 @@ _FLOOR_PX = 0.004  # standard deviation below which no centre is stated
 _LARGEST_STD_PX = 0.05  # a centre that is known worse rests on what is known of the shadow, not on the sectors
 _WORST_FIT = 0.05  # residuals over contrast
 _CORRELATED = (
-    1.4  # neighbouring residuals have causes in common (penumbra, light from the faces): factor on the deviation
+    1.4  # factor on the deviation: neighbouring residuals have causes in common (penumbra, light from the faces)
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class MarkView:
-    """One mark as one image should show it."""
-
-    predicted_px: np.ndarray  # (2,)
-    px_per_m: np.ndarray  # (2, 2) pixel step by target x and y
-    radius_m: float
-    sheets_m: (
-        np.ndarray
-    )  # (q, 4, 3) quadrilaterals of the funnel, target frame about the mark: `target_view.sheet_quads`
-    eye_m: np.ndarray  # (3,) projection centre, target frame about the mark
-    to_sun: np.ndarray | None  # (3,) unit, target frame; None: no sun
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,137 +40,10 @@ class MarkFit:
     pixels: int
 
 
-def _outlines(points_m: np.ndarray, view: MarkView, size: int, half: float) -> list[np.ndarray]:
-    """Outlines (k, 2) of slabs (q, 8, 2) on the plate, at fine coordinates, of those that may meet the mark."""
-    fine = (points_m @ view.px_per_m.T + half) * _FINE - 0.5
-    meets = np.all((fine.min(axis=1) < size) & (fine.max(axis=1) > -1.0), axis=-1)
-    return [cv2.convexHull(corners.astype(np.float32))[:, 0] for corners in fine[meets]]
-
-
-def _cover(outlines: list[np.ndarray], size: int) -> np.ndarray:
-    """Share of every fine sample's square inside any of the outlines; true to area for slivers thinner than a square."""
-    left = np.ones((size, size), np.float32)
-    at = np.arange(size, dtype=np.float32)
-    for outline in outlines:
-        edge = np.roll(outline, -1, axis=0) - outline
-        length = np.hypot(edge[:, 0], edge[:, 1])
-        normal = np.stack([-edge[:, 1], edge[:, 0]], axis=1)[length > 1e-3] / length[length > 1e-3, None]
-        corner = outline[length > 1e-3]
-        if np.sum(normal * (outline.mean(axis=0) - corner)) < 0.0:
-            normal = -normal
-        # distance beyond an edge is linear over the map: its extremes are at the corners
-        middle = np.sum(normal * (corner - 0.5 * (size - 1)), axis=1) + 0.5
-        reach = 0.5 * (size - 1) * np.abs(normal).sum(axis=1)
-        if np.any(middle - reach >= 1.0):
-            continue
-        outside = np.zeros((size, size), np.float32)
-        for k in np.flatnonzero(middle + reach > 0.0):
-            (nx, ny), (cx, cy) = normal[k], corner[k]
-            beyond = np.add.outer(ny * (cy - at) + np.float32(0.5), nx * (cx - at))
-            outside += np.clip(beyond, 0.0, 1.0, out=beyond)
-        left *= np.minimum(outside, 1.0, out=outside)
-    return 1.0 - left
-
-
-def _centre_hidden(view: MarkView) -> bool:
-    """Whether a sheet stands before the centre and half a pixel around it. Inverted funnels never do; upright ones do from
-    35.26 degrees off the zenith along a side."""
-    outlines = _outlines(on_plate(view.sheets_m, view.eye_m, finite=True), view, 1, 0.5)
-    return any(cv2.pointPolygonTest(o, (_FINE / 2 - 0.5, _FINE / 2 - 0.5), True) > 0.5 * _FINE for o in outlines)
-
-
-def _grown(mask: np.ndarray, by_px: float) -> np.ndarray:
-    """Mask grown by a disc."""
-    r = max(round(by_px * _FINE), 1)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * r + 1, 2 * r + 1))
-    return np.asarray(cv2.dilate(mask, disc))
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Maps:
-    """Finely sampled shares of a pixel, blurred: 0-3 lit white, lit black, shaded white, shaded black, 4 not to be used."""
-
-    base: np.ndarray  # (5, s, s)
-    by_place: np.ndarray  # (2, 4, s, s) slope by column and row [1/px]
-    by_blur: np.ndarray  # (4, s, s) change with the blur's step
-    by_shade: np.ndarray  # (0 or 2, 4, s, s) change when the sun moves by _TILT_STD against the target
-    half_px: float
-
-
-def _shade(view: MarkView, size: int, half: float) -> tuple[np.ndarray, np.ndarray]:
-    """Share of the sun's disc that the sheets hide (size, size), and its slope (2, size, size) by the sun's place over _TILT_STD.
-
-    A ring of R / sqrt 2 has the disc's second moments. Near the faces' own angle the sheets' shadow is a line thinner than the
-    penumbra: with a point for a sun it would be a black line through the centre.
-    """
-    if view.to_sun is None:
-        return np.zeros((size, size), np.float32), np.zeros((2, size, size), np.float32)
-    turn = 2.0 * np.pi * (np.arange(_SUN_POINTS) + 0.5) / _SUN_POINTS
-    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    across = np.linalg.svd(view.to_sun[None])[2][1:]
-    radius = _SUN_RADIUS / np.sqrt(2.0)
-    hidden = np.stack(
-        [
-            _cover(_outlines(on_plate(view.sheets_m, sun, finite=False), view, size, half), size)
-            for sun in view.to_sun / np.linalg.norm(view.to_sun) + radius * ring @ across
-        ]
-    )
-    slope = np.tensordot(ring.T * (2.0 / _SUN_POINTS * _TILT_STD / radius), hidden, axes=1)
-    return hidden.mean(axis=0), np.asarray(slope, dtype=np.float32)
-
-
-def _maps(view: MarkView) -> _Maps:
-    reach = view.radius_m * float(np.linalg.norm(view.px_per_m, ord=2))
-    half = float(np.ceil(reach + 3.0))
-    size = int(2 * half) * _FINE
-    axis = (np.arange(size) + 0.5) / _FINE - half
-    u, v = np.meshgrid(axis, axis)
-    inverse = np.linalg.inv(view.px_per_m)
-    x, y = inverse[0, 0] * u + inverse[0, 1] * v, inverse[1, 0] * u + inverse[1, 1] * v
-    scale = float(np.sqrt(abs(np.linalg.det(view.px_per_m))))
-    behind = _cover(_outlines(on_plate(view.sheets_m, view.eye_m, finite=True), view, size, half), size)
-    hidden = _grown((behind > 0.02).astype(np.uint8), 0.2 + 0.003 * scale).astype(bool)
-    out = hidden | (np.hypot(x, y) > view.radius_m)
-    white = (x * y > 0.0).astype(np.float32)
-    black = 1.0 - white
-    shade, slope = _shade(view, size, half)
-    raw = np.stack([white * (1.0 - shade), black * (1.0 - shade), white * shade, black * shade, out.astype(np.float32)])
-    base = _blurred(raw)
-    by_shade = np.zeros((0, 4, size, size), np.float32)
-    if np.any(slope[:, ~out]):
-        moved = _blurred(np.stack([white * slope[0], black * slope[0], white * slope[1], black * slope[1]]))
-        by_shade = np.stack([-moved[0], -moved[1], moved[0], moved[1], -moved[2], -moved[3], moved[2], moved[3]])
-        by_shade = by_shade.reshape(2, 4, size, size)
-    kernel = np.array([-0.5, 0.0, 0.5], np.float32) * _FINE
-    one = np.ones(1, np.float32)
-    return _Maps(
-        base=base,
-        by_place=np.stack(
-            [
-                [cv2.sepFilter2D(m, -1, kernel, one) for m in base[:4]],
-                [cv2.sepFilter2D(m, -1, one, kernel) for m in base[:4]],
-            ]
-        ),
-        by_blur=np.stack([cv2.Laplacian(m, -1) for m in base[:4]]) * (_BLUR_PX * _BLUR_STEP_PX * _FINE**2),
-        by_shade=by_shade,
-        half_px=half,
-    )
-
-
-def _blurred(maps: np.ndarray) -> np.ndarray:
-    """As pixels see them: Gaussian of the optics, then the pixel's square."""
-    reach = round(3.5 * _BLUR_PX * _FINE)
-    gauss = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (_BLUR_PX * _FINE)) ** 2)
-    box = np.array([0.5, *np.ones(_FINE - 1), 0.5])
-    kernel = np.convolve(gauss, box)
-    kernel /= kernel.sum()
-    return np.stack([cv2.sepFilter2D(m, -1, kernel, kernel, borderType=cv2.BORDER_REPLICATE) for m in maps])
-
-
-def _search(window: np.ndarray, maps: _Maps) -> list[tuple[np.ndarray, float]]:
+def _search(window: np.ndarray, maps: Maps) -> list[tuple[np.ndarray, float]]:
     """Best places of the predicted appearance: (column, row) in the window's pixel coordinates, correlation; best first."""
     half = maps.half_px
-    pick = np.arange(int(2 * half)) * _FINE + _FINE // 2
+    pick = np.arange(int(2 * half)) * FINE + FINE // 2
     at = maps.base[:, pick[:, None], pick]
     usable = (at[4] < 0.3).astype(np.float64)
     if usable.sum() < _LEAST_PIXELS:
@@ -274,7 +122,7 @@ def _start(y: np.ndarray, shares: np.ndarray, regions: list[int]) -> np.ndarray:
     return out
 
 
-def _refine(samples: _Samples, maps: _Maps, view: MarkView, start: np.ndarray, iterations: int = 10) -> _State | None:
+def _refine(samples: _Samples, maps: Maps, view: MarkView, start: np.ndarray, iterations: int = 10) -> _State | None:
     """Gauss-Newton on centre, edge directions, blur and shadow; brightness and its slopes across the mark are linear."""
     state = _State(
         centre=start, edges=np.zeros(2), covariance=np.eye(2), coefficients=np.zeros(4), rms=np.inf, pixels=0
@@ -284,7 +132,7 @@ def _refine(samples: _Samples, maps: _Maps, view: MarkView, start: np.ndarray, i
     for _ in range(iterations):
         plate = (samples.uv - state.centre) @ inverse.T
         shear = np.array([[1.0, -state.edges[0]], [state.edges[1], 1.0]])
-        fine = (plate @ shear.T @ view.px_per_m.T + maps.half_px) * _FINE - 0.5
+        fine = (plate @ shear.T @ view.px_per_m.T + maps.half_px) * FINE - 0.5
         values = _look_up(maps.base, fine)
         usable = values[4] < 0.02
         if usable.sum() < _LEAST_PIXELS:
@@ -384,9 +232,9 @@ def find_mark(
     radius_px = view.radius_m * float(np.sqrt(abs(np.linalg.det(view.px_per_m))))
     if radius_px < 4.0:
         return f"mark of {radius_px:.1f} px radius, 4 px are needed"
-    if _centre_hidden(view):
+    if centre_hidden(view):
         return "the funnel hides the centre"
-    maps = _maps(view)
+    maps = appearance(view)
     reach = int(np.ceil(search_radius_px + maps.half_px + 2.0))
     middle = np.floor(view.predicted_px).astype(int)
     low = np.maximum(middle - reach, 0)
@@ -417,7 +265,7 @@ def _fit_at(
     window: np.ndarray,
     place: np.ndarray,
     correlation: float,
-    maps: _Maps,
+    maps: Maps,
     view: MarkView,
     radius_px: float,
     clipped_at: float,

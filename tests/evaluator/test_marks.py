@@ -4,13 +4,16 @@ The picture tests every sub-sample's line of sight and line to the sun against t
 funnel's outlines on the plate. Nothing is shared but the target's size.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pvlib
 import pytest
 import scipy.ndimage
 
 from evaluator.observe.frustums import FrustumModel
-from evaluator.observe.marks import MarkFit, MarkView, find_mark
+from evaluator.observe.mark_view import MarkView
+from evaluator.observe.marks import MarkFit, find_mark
 from evaluator.observe.target_view import sheet_corners, to_sun
 
 B, SHEET, RADIUS = 0.8, 0.0015, 0.16
@@ -42,11 +45,11 @@ def blocked(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
 
 
 def disc_of(sun: np.ndarray) -> np.ndarray:
-    """Directions over the sun's disc, of equal weight: (19, 3). The evaluator has a ring of six."""
+    """Directions over the sun's disc, of equal weight: (12, 3). The evaluator has a ring of six."""
     across = np.cross(sun, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across)
-    k = np.arange(19)
-    r, turn = np.radians(0.2666) * np.sqrt((k + 0.5) / 19), 2.39996 * k
+    k = np.arange(12)
+    r, turn = np.radians(0.2666) * np.sqrt((k + 0.5) / 12), 2.39996 * k
     return np.asarray(sun + (r * np.cos(turn))[:, None] * across + (r * np.sin(turn))[:, None] * np.cross(sun, across))
 
 
@@ -132,7 +135,9 @@ def test_centre_is_unbiased_for_all_suns(view_deg: float) -> None:
     values = np.array(errors)
     assert np.abs(values.mean(axis=0)).max() < 0.05, values
     assert values.std() < 0.1, values
-    assert 0.4 < np.std(z) < 1.6, z
+    assert 0.25 < np.std(z) < 1.4, (
+        z
+    )  # stated: 1.4 times the fit's own and 0.004 px, for causes that this picture has not
 
 
 def test_no_mark_is_refused() -> None:
@@ -150,6 +155,38 @@ def test_mark_at_the_image_border_is_refused() -> None:
     image, _, view = picture(np.random.default_rng(4), 10.0, 0.0, sun_at(60.0, 100.0))
     edge = MarkView(**{**vars(view), "predicted_px": np.array([-30.0, 20.0])})
     assert isinstance(find_mark(image[:, 70:], edge, 5.0), str)
+
+
+def test_hidden_centre_is_refused() -> None:
+    """Rationale: an upright funnel is open at the top only; its sheet stands before the centre from 35.26 degrees off the zenith
+    along a side (half the small rim over its height, b/4 over 0.3536 b). What is then in view must not become a centre.
+    Expected: refusal beyond, none for that reason before; an inverted funnel's centre is seen from everywhere.
+    Tolerance: 1.5 degrees, half a pixel of the mark."""
+    rng = np.random.default_rng(6)
+    for inverted, angle, hidden in (
+        (False, 33.7, False),
+        (False, 37.5, True),
+        (True, 33.7, False),
+        (True, 37.5, False),
+    ):
+        image, _, view = picture(rng, angle, 90.0, sun_at(60.0, 200.0), noise=0.002)
+        sheets = sheet_corners(replace(MODEL, inverted=inverted))
+        found = find_mark(image, replace(view, sheets_m=sheets), 30.0)
+        assert (found == "the funnel hides the centre") == hidden, (inverted, angle, found)
+
+
+def test_sliver_of_shadow_along_a_sector_edge() -> None:
+    """Rationale: the sun in a face's plane (54.7 degrees up, along a side) draws a line of half shade along a sector's edge, a
+    third of a pixel wide. Its brightness, left free, once drew centres by 0.8 px.
+    Expected: centres as elsewhere. Tolerance: 0.05 px each, five times the noise; five stated deviations."""
+    rng = np.random.default_rng(7)
+    for k, elevation in enumerate((53.5, 54.3, 54.7, 55.5)):
+        image, centre, view = picture(rng, 8.0, 40.0 * k, sun_at(elevation, 90.0 * k + 4.0))
+        found = find_mark(image, view, 30.0)
+        assert isinstance(found, MarkFit), (elevation, found)
+        error = found.uv_px - centre
+        assert np.abs(error).max() < 0.05, (elevation, error)
+        assert np.abs(error / np.sqrt(np.diag(found.covariance_px2))).max() < 5.0, (elevation, error)
 
 
 def test_sun_against_pvlib() -> None:
