@@ -285,6 +285,10 @@ def _fit_at(
     difference = abs(float(pair[0] - pair[1]))
     contrast = difference / max(float(np.max(np.abs(pair))), 1e-12)
     covariance = _CORRELATED**2 * best.covariance + _FLOOR_PX**2 * np.eye(2)
+    if len(maps.by_shade):  # with the shadow where it is predicted: what the centre owes to the shadow's place
+        still = _refine(samples, replace(maps, by_shade=maps.by_shade[:0]), view, best.centre)
+        if still is not None:
+            covariance += 0.5 * np.outer(still.centre - best.centre, still.centre - best.centre)
     std = float(np.sqrt(np.max(np.linalg.eigvalsh(covariance))))
     if contrast < _LEAST_CONTRAST:
         return f"contrast of {contrast:.2f} between the sectors"
