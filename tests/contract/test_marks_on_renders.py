@@ -233,8 +233,9 @@ def test_whole_grid_of_suns_and_views(elevation_deg: float, view_deg: float) -> 
     z = []
     for k in range(4):
         group = (elevation_deg, 17.0 + 100.0 * k, view_deg, 80.0 + 67.0 * k)
-        picture = photograph(rng, light(*group[:2]), *group[2:], height_m=65.0 - 10.0 * (view_deg > 10.0) * (k % 3))
+        height = 45.0 if view_deg > 30.0 else 65.0 - 10.0 * (k % 3)  # slant: a mark needs some 35 clear pixels
+        picture = photograph(rng, light(*group[:2]), *group[2:], height_m=height)
         found = measure(picture)
-        check(found, group, 7 if view_deg < 30.0 else 1)
+        check(found, group, 6 if view_deg < 30.0 else 2)
         z.append(found.z)
     assert 0.6 < np.std(np.concatenate(z)) < 1.5, z

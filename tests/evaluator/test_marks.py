@@ -68,7 +68,7 @@ def picture(
     size: int = 76,
 ) -> tuple[np.ndarray, np.ndarray, MarkView]:
     """(picture, true centre, prediction). Nadir camera turned by `turn_deg`; the prediction is off by `offset` and 0.5 degrees."""
-    fine = 8
+    fine = 6
     a, t = np.radians(view_azimuth_deg), np.tan(np.radians(view_deg))
     camera = np.array([height * t * np.sin(a), height * t * np.cos(a), height])
     c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
