@@ -116,7 +116,7 @@ class Band(Model):
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
     centre_nm: Annotated[float, Field(ge=400.0, le=1000.0)]
-    fwhm_nm: Positive
+    fwhm_nm: Annotated[float, Field(ge=1.0, le=600.0)]
 
 
 class Lens(Model):

@@ -106,6 +106,10 @@ def read_camera(path: Path) -> CameraSheet:
     sheet = read_model(path, CameraSheet)
     if not 1 <= len(sheet.bands) <= 3:
         raise CampaignError("number of bands", where=f"{path} bands", got=len(sheet.bands), expected="1 to 3")
+    if sheet.black_level_dn >= 2**sheet.bit_depth - 1:
+        raise CampaignError(
+            "no signal is left", where=f"{path} black_level_dn", got=sheet.black_level_dn, expected="below 2^bit_depth"
+        )
     if sheet.calibration is not None:
         _check_lens(path, sheet, sheet.calibration.lens)
         covariance = sheet.calibration.covariance
@@ -153,6 +157,10 @@ def _check_lens(path: Path, sheet: CameraSheet, lens: Lens) -> None:
 def read_lidar(path: Path) -> LidarSheet:
     """Raises CampaignError naming the key."""
     sheet = read_model(path, LidarSheet)
+    if sheet.baseline_dn >= 2**sheet.bit_depth - 1:
+        raise CampaignError(
+            "no signal is left", where=f"{path} baseline_dn", got=sheet.baseline_dn, expected="below 2^bit_depth"
+        )
     if sheet.sector_deg[0] >= sheet.sector_deg[1]:
         raise CampaignError(
             "wrong order", where=f"{path} sector_deg", got=list(sheet.sector_deg), expected="least first"

@@ -204,6 +204,11 @@ def read_spectra(path: Path) -> Spectra:
             got=rows[row][column][:40],
             expected=expected,
         )
+    dark = [name for name, column in zip(header[1:], table[:, 1:].T) if not column.any()]
+    if dark:
+        raise CampaignError(
+            "a panel reflects nothing", where=f"{path} column {dark[0]}", expected="0 to 1.5, not all 0"
+        )
     return Spectra(
         wavelength_nm=table[:, 0], panel_ids=tuple(header[1:]), reflectance=np.ascontiguousarray(table[:, 1:])
     )

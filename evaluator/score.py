@@ -1,5 +1,6 @@
 """Estimates against the truth of a simulated campaign: score.json. The only module of the evaluator that opens truth/."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -83,15 +84,20 @@ def camera_from_lidar(camera: TrueMounting, lidar: TrueMounting) -> tuple[np.nda
 def _estimates(block: dict[str, Any], where: str) -> dict[str, tuple[str, float, float]]:
     """Quantity -> unit, estimate, standard deviation from one block of results.json."""
     try:
-        return {
+        found = {
             str(name): (str(unit), float(value), float(std))
             for name, unit, value, std in zip(
                 block["names"], block["units"], block["estimates"], block["std"], strict=True
             )
         }
-    except (KeyError, TypeError, ValueError):
+        if not all(math.isfinite(value) and math.isfinite(std) and std >= 0.0 for _, value, std in found.values()):
+            raise ValueError
+        return found
+    except (KeyError, TypeError, ValueError, OverflowError):
         raise EvaluationError(
-            "names, units, estimates and std do not go together", where=where, expected="lists of the same length"
+            "names, units, estimates and std do not go together",
+            where=where,
+            expected="lists of the same length, of finite numbers, std not below 0",
         ) from None
 
 

@@ -39,7 +39,7 @@ def band_flatness(wavelength_nm: np.ndarray, reflectance: np.ndarray, low_nm: fl
     x = np.concatenate([[low_nm], wavelength_nm[inside], [high_nm]])
     y = np.interp(x, wavelength_nm, reflectance)
     mean = np.trapezoid(y, x) / (high_nm - low_nm)
-    return float((y.max() - y.min()) / mean)
+    return float((y.max() - y.min()) / mean) if mean > 0.0 else math.inf
 
 
 def worst_flatness(data: CampaignData) -> tuple[str, float] | None:
