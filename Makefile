@@ -38,7 +38,7 @@ $(READY): requirements.lock pyproject.toml
 
 # The picture of the README, from the last demo run.
 picture: $(READY)
-	$(BIN)/testrange picture out/demo --out docs/first_flight.png
+	$(BIN)/testrange picture out/demo --out docs/first_flight.jpg
 
 lock: $(READY)
 	$(BIN)/uv pip compile -q --universal --generate-hashes --no-emit-index-url --no-header --group dev -o requirements.lock pyproject.toml
