@@ -193,7 +193,7 @@ def _check_sortie(
     if not sortie.trajectory_sbet.is_file():
         check.add("warning", sortie.trajectory_sbet, "missing; nothing of this sortie can be placed")
     elif week is not None:
-        rms = sortie.trajectory_rms if sortie.trajectory_rms.exists() else None
+        rms = sortie.trajectory_rms if sortie.trajectory_rms.is_file() else None
         if rms is None:
             check.add(
                 "warning", sortie.trajectory_rms, "missing; the trajectory's accuracy is taken from the rig sheet"
@@ -308,13 +308,13 @@ def _check_strips(
 
 
 def _check_observations(check: _Check, sortie: SortieFolder, images: set[str]) -> None:
-    if sortie.observations_camera.exists():
+    if sortie.observations_camera.is_file():
         for seen in check.read(sortie.observations_camera, read_camera_observations) or []:
             if seen.target not in check.target_ids:
                 check.add("error", sortie.observations_camera, f"target {seen.target} is not in the survey")
             if seen.image not in images:
                 check.add("error", sortie.observations_camera, f"image {seen.image} is not in exposures.csv")
-    if sortie.observations_lidar.exists():
+    if sortie.observations_lidar.is_file():
         for hit in check.read(sortie.observations_lidar, read_lidar_observations) or []:
             if hit.target not in check.target_ids:
                 check.add("error", sortie.observations_lidar, f"target {hit.target} is not in the survey")

@@ -65,7 +65,7 @@ class ImageTags:
     bands: tuple[str, ...]
 
 
-MAX_IMAGE_BYTES = 2_500_000_000
+MAX_IMAGE_BYTES = 1_200_000_000  # of pixels: 200 megapixels in three bands
 MAX_PREVIEW_BYTES = 500_000_000
 MAX_XMP_BYTES = 1_000_000
 PREVIEW_QUALITY = 90
@@ -124,10 +124,7 @@ def write_preview(path: Path, srgb: np.ndarray, tags: ImageTags) -> None:
 def read_image(path: Path, *, width_px: int, height_px: int, bands: int) -> np.ndarray:
     """(height, width, bands) uint16. The size in the file is checked against the sheet before pixels are decoded."""
     expected = f"{width_px} x {height_px} px, {bands} bands of uint16"
-    if width_px * height_px * bands * 2 > MAX_IMAGE_BYTES:
-        raise CampaignError(
-            "too large an image", where=str(path), got=expected, expected=f"{MAX_IMAGE_BYTES} bytes at most"
-        )
+    _check_bytes(path, width_px * height_px * bands * 2)
     with _tiff(path) as tiff:
         page = _page(path, tiff)
         separate = bands > 1 and page.planarconfig == 2
@@ -149,6 +146,7 @@ def read_image(path: Path, *, width_px: int, height_px: int, bands: int) -> np.n
 
 def check_image(path: Path, *, width_px: int, height_px: int, bands: int) -> None:
     """What `read_image` checks, without decoding."""
+    _check_bytes(path, width_px * height_px * bands * 2)
     with _tiff(path) as tiff:
         page = _page(path, tiff)
         if (page.imagewidth, page.imagelength, page.samplesperpixel) != (width_px, height_px, bands):
@@ -158,7 +156,16 @@ def check_image(path: Path, *, width_px: int, height_px: int, bands: int) -> Non
                 got=f"{page.imagewidth} x {page.imagelength} px, {page.samplesperpixel} bands",
                 expected=f"{width_px} x {height_px} px, {bands} bands",
             )
+        if page.dtype != np.uint16:
+            raise CampaignError("image of another depth", where=str(path), got=page.dtype, expected="uint16")
         _check_strips(path, page)
+
+
+def _check_bytes(path: Path, size: int) -> None:
+    if size > MAX_IMAGE_BYTES:
+        raise CampaignError(
+            "too large an image", where=str(path), got=f"{size} bytes of pixels", expected=f"at most {MAX_IMAGE_BYTES}"
+        )
 
 
 def read_preview(path: Path, *, width_px: int, height_px: int) -> np.ndarray:

@@ -57,6 +57,7 @@ class Spectra:
     reflectance: np.ndarray  # (w, panels) 0..1 (a little above 1 is legal)
 
 
+MAX_TARGETS = 2000  # ten times a large range; more is another table
 MAX_SITE_M = 20_000.0  # no range is wider; beyond, the coordinates are in another system
 MATERIALS = ("barium_sulfate", "ptfe", "water_based_paint")
 TARGET_COLUMNS: dict[str, Parse] = {
@@ -109,6 +110,8 @@ def write_targets(path: Path, targets: list[SurveyedTarget], projection_epsg: in
 def read_targets(path: Path) -> list[SurveyedTarget]:
     """Raises CampaignError naming row and column: NaN, duplicate id, unknown kind, missing or unknown column."""
     rows = read_rows(path, TARGET_COLUMNS)
+    if len(rows) > MAX_TARGETS:
+        raise CampaignError("too many targets", where=str(path), got=len(rows), expected=f"at most {MAX_TARGETS}")
     seen: set[str] = set()
     problems = []
     for i, row in enumerate(rows, 2):

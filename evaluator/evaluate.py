@@ -177,13 +177,15 @@ def _image(data: CampaignData, sortie: SortieData, exposure: Exposure) -> np.nda
     if sheet is None:
         raise EvaluationError("no sensors/camera.json")
     path = sortie.folder.images / exposure.image
+    if not path.is_file():  # a pipe would never end
+        raise EvaluationError("no such file", where=str(path))
     return read_image(path, width_px=sheet.width_px, height_px=sheet.height_px, bands=len(sheet.bands))
 
 
 def _picked(sortie: SortieData, findings: _Findings) -> list[CameraObservation]:
     """What a person picked, where the campaign has it (8.3.2 c, 9.3.2 c)."""
     path = sortie.folder.observations_camera
-    if not path.exists():
+    if not path.is_file():
         return []
     try:
         return read_camera_observations(path)
@@ -304,7 +306,7 @@ def _brightness(
 ) -> None:
     """HSV V (the greatest channel) of the 8-bit preview inside each panel's region, 5.5 a."""
     path = (sortie.folder.images / exposure.image).with_suffix(".jpg")
-    if data.camera is None or not path.exists():
+    if data.camera is None or not path.is_file():
         return
     preview = read_preview(path, width_px=data.camera.width_px, height_px=data.camera.height_px)
     for value in values:

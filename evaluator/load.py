@@ -42,7 +42,7 @@ def load_campaign(root: Path) -> CampaignData:
             return None
 
     def trajectory(place: SortieFolder) -> Trajectory:
-        rms = place.trajectory_rms if place.trajectory_rms.exists() else None
+        rms = place.trajectory_rms if place.trajectory_rms.is_file() else None
         found = read_trajectory(place.trajectory_sbet, rms, manifest.gps_week)
         wrong = misplaced(found, manifest.latitude_deg, manifest.longitude_deg)
         if wrong:

@@ -283,7 +283,7 @@ def call(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return _fail("interrupted", 130)
     except MemoryError:
-        return _fail("not enough memory; simulate fewer images or a shorter flight", 1)
+        return _fail("not enough memory; free some, or take smaller images, fewer targets or shorter strips", 1)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the reader of stdout left; nothing more to say
         return 0

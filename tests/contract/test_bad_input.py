@@ -254,6 +254,36 @@ RELISTED: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     ),
     "survey_millimetres": (lambda r: column(r / "survey/targets.csv", "size_m", "700"), ("size_m", "0.01 to 100 m")),
     "survey_twice": (lambda r: column(r / "survey/targets.csv", "id", "P02"), ("survey/targets.csv", "P02")),
+    "survey_of_points": (
+        lambda r: (r / "survey/targets.csv").write_text(
+            "\n".join(
+                [
+                    *(lines := (r / "survey/targets.csv").read_text().splitlines()),
+                    *(f"X{i},{lines[1].split(',', 1)[1]}" for i in range(3000)),
+                ]
+            )
+        ),
+        ("survey/targets.csv", "too many targets", "at most 2000"),
+    ),
+    "spectra_dark": (
+        lambda r: (r / "survey/spectra.csv").write_text("wavelength_nm,P01\n400,0\n1700,0\n"),
+        ("spectra.csv", "column P01", "reflects nothing"),
+    ),
+    "image_depth": (
+        lambda r: tifffile.imwrite(r / IMAGE, np.zeros((1024, 1536, 3), np.uint8), photometric="rgb"),
+        (IMAGE, "another depth", "expected uint16"),
+    ),
+    "image_huge": (
+        lambda r: (
+            key(r / "sensors/camera.json", "width_px", 20_000),
+            key(r / "sensors/camera.json", "height_px", 20_000),
+        ),
+        ("too large an image", "expected at most"),
+    ),
+    "black_level": (
+        lambda r: key(r / "sensors/camera.json", "black_level_dn", 1e300),
+        ("sensors/camera.json", "black_level_dn", "below 2^bit_depth"),
+    ),
     "survey_kilometres": (
         lambda r: column(r / "survey/targets.csv", "northing_m", "3462.9"),
         ("survey/targets.csv", "P01: lies", "km from the site's origin", "in metres"),
@@ -377,6 +407,8 @@ def test_keep_going_names_what_is_left_out(capsys: pytest.CaptureFixture[str], f
     moved(folder, 200.0, "F02")
     cut(folder / STRIP, 0.5)
     key(folder / "sensors/camera.json", "f_number", -5.6)
+    for name in ("observations_camera.csv", "lidar/strip_07.las"):
+        os.mkfifo(folder / S / name)  # nobody writes into it: reading would never end
     assert cli.call(["evaluate", str(folder), "--out", str(tmp_path / "r"), "--quiet", "--keep-going"]) == 0
     assert capsys.readouterr().err == ""
     results = json.loads((tmp_path / "r/results.json").read_text())
