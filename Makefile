@@ -11,7 +11,7 @@ demo: $(READY)
 	$(BIN)/testrange run configs/campaigns/quickstart.toml --out out/demo --replace
 
 test: $(READY)
-	$(BIN)/pytest -q
+	$(BIN)/pytest -q -n 2 --dist loadfile
 
 slow: $(READY)
 	$(BIN)/pytest -q -m slow

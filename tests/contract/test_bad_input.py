@@ -500,7 +500,10 @@ def test_occupied_output_is_refused_first(capsys: pytest.CaptureFixture[str], fo
 def test_interrupt_while_simulating(tmp_path: Path) -> None:
     """Rationale: people stop long runs. Expected: SIGINT in the middle of rendering ends the process within seconds with code
     130, one line after the progress, and nothing on the disk."""
-    program = "import sys; from testrange.cli import main; sys.argv[0] = 'testrange'; main()"
+    program = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "  # a shell's background job ignores it
+        "from testrange.cli import main; sys.argv[0] = 'testrange'; main()"
+    )
     command = [sys.executable, "-c", program, "simulate", str(TINY), "--out", str(tmp_path / "c")]
     with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
         assert process.stderr is not None
