@@ -230,7 +230,7 @@ class System:
         return mounting_of(self.nominal[0], x[0:6]), mounting_of(self.nominal[1], x[6:12])
 
     def linearise(self, x: np.ndarray, *, with_covariance: bool = True) -> Linear:
-        """x: 12 mounting parameters, then 3 of every mark.."""
+        """x: 12 mounting parameters, then 3 of every mark. `with_covariance` False leaves it out."""
         marks_world = x[12:].reshape(-1, 3)
         camera, lidar = self.mountings(x)
         design = np.zeros((self.size, x.size))
