@@ -13,6 +13,8 @@ Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 Vector3 = tuple[float, float, float]
+Part = Literal["camera", "lidar", "bench", "ranging"]
+PARTS: tuple[Part, ...] = ("camera", "lidar", "bench", "ranging")
 
 
 class Model(BaseModel):
@@ -31,6 +33,9 @@ class CampaignInfo(Model):
     )
     operator: str = ""
     purpose: str = ""
+    parts: Annotated[tuple[Part, ...], Field(min_length=1, max_length=4)] = Field(
+        PARTS, description="what is simulated: the flight of camera and lidar, the indoor benches, the ranging line"
+    )
 
 
 class Site(Model):
@@ -144,6 +149,9 @@ class Camera(Model):
     pixel_size_um: Positive
     nominal_focal_length_mm: Positive
     f_number: Positive = 5.6
+    focus_distance_m: Annotated[float, Field(gt=0.0, le=1e6)] = Field(
+        50.0, description="setting of the lens in flight; `lens` holds there, from the entrance pupil"
+    )
     lens: Lens = Field(description="the true interior orientation; the certificate is a draw around it")
     calibration_std: tuple[float, ...] = Field(
         (0.15, 0.15, 0.15, 0.15, 4e-5, 1.5e-4, 2e-4, 6e-6, 6e-6),
@@ -305,6 +313,115 @@ class LidarRecording(Model):
     pulses_per_chunk: Literal[65536, 131072, 262144] = 65536
 
 
+class Room(Model):
+    """Air and records of the indoor benches (6.3)."""
+
+    temperature_c: Annotated[float, Field(ge=-20.0, le=60.0)] = 20.0
+    relative_humidity_percent: Annotated[float, Field(ge=0.0, le=100.0)] = 60.0
+    pressure_hpa: Annotated[float, Field(ge=400.0, le=1100.0)] = 1010.0
+    dust_free: bool = True
+    single_light_source: bool = True
+
+
+class Sphere(Model):
+    """Integrating sphere (8.2.2): geometry, its stabilised lamp, and how the camera in front of its port behaves."""
+
+    diameter_m: Positive = 0.8
+    port_diameter_m: Positive = 0.2
+    wall_reflectance: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.97
+    lamp_diameter_m: Positive = Field(0.04, description="a round, flat, Lambertian lamp in the sphere's wall")
+    lamp_temperature_k: Annotated[float, Field(ge=1500.0, le=7000.0)] = 2856.0
+    lamp_power_w: Positive = Field(60.0, description="radiated over all wavelengths, after warm-up")
+    baffle: bool = True
+    warm_up_share: Fraction = Field(0.04, description="what the lamp lacks at switch-on, relative")
+    warm_up_time_s: Positive = Field(240.0, description="time constant of the warm-up")
+    drift_percent_per_h: float = Field(0.1, description="linear change of the lamp's output, from switch-on")
+    noise_percent: NonNegative = Field(0.02, description="random, from image to image")
+    wait_s: NonNegative = Field(1500.0, description="from switch-on to the first image; 8.2.2 asks for 20 min")
+    images: Annotated[int, Field(ge=2, le=200)] = 21
+    stability_interval_s: Positive = 180.0
+    repeatability_interval_s: Positive = 15.0
+    exposure_share: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
+        0.65, description="of full scale, in the brightest band"
+    )
+    window_px: tuple[int, int] | None = Field(
+        None, description="width and height of the part read out about the image's middle; absent: the whole image"
+    )
+    camera_warm_up_k: NonNegative = Field(6.0, description="how far the sensor warms up, from switch-on")
+    camera_warm_up_time_s: Positive = 900.0
+    dark_current_doubling_k: Positive = 6.5
+    traceability: str = "second class standard, certificate of the range's own lamp"
+
+
+class Chessboard(Model):
+    """Geometric bench (9.2.2): one plane board, four or more distances, tilts; the field is covered at each distance."""
+
+    squares: tuple[Annotated[int, Field(ge=4, le=60)], Annotated[int, Field(ge=4, le=60)]] = Field(
+        (18, 13), description="across and down; one even and one odd number leave no 180 degree ambiguity"
+    )
+    square_m: Positive = 0.06
+    margin_m: Positive = Field(0.06, description="white border round the squares")
+    distances_m: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=12)] = (1.6, 2.0, 2.5, 3.0)
+    tilt_deg: Annotated[float, Field(ge=0.0, le=60.0)] = Field(22.0, description="greatest turn about the board's axes")
+    focus_distance_m: Positive | None = Field(None, description="setting of the lens; absent: as in flight, locked")
+    f_number: Positive | None = Field(None, description="absent: as in flight")
+    white_reflectance: Fraction = 0.85
+    black_reflectance: Fraction = 0.04
+    wall_reflectance: Fraction = 0.15
+    exposure_share: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(0.7, description="of full scale, white squares")
+    samples: Literal[16, 32, 64, 128, 256, 512] = Field(64, description="of a pixel at an edge of the pattern")
+
+
+class Bench(Model):
+    """The indoor benches (6.3, 8.2, 9.2)."""
+
+    room: Room = Room()
+    sphere: Sphere = Sphere()
+    chessboard: Chessboard = Chessboard()
+
+
+class TotalStationModel(Model):
+    """A total station: what its certificate states and how far it errs (one standard deviation, mm + ppm)."""
+
+    name: str = Field("station", pattern=r"^[A-Za-z0-9_-]{1,64}$")
+    class_mm: Positive = Field(description="accuracy class of its distances")
+    std_mm: NonNegative
+    std_ppm: NonNegative = 1.0
+    angle_std_deg: NonNegative = 0.0006
+    additive_constant_mm: float = Field(0.0, description="K1 of its certificate: added to what it reads")
+    scale_ppm: float = Field(0.0, description="R1 of its certificate: times what it reads, added")
+    wavelength_um: Annotated[float, Field(ge=0.3, le=2.0)] = 0.658
+    reference_index: Annotated[float, Field(ge=1.0, le=1.001)] = Field(1.000286338, description="n0 of its design")
+
+
+class Ranging(Model):
+    """The ranging line (9.1.2): panels over the LiDAR's range, two total stations (step c and step k), repeated scans."""
+
+    distances_m: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=40)] = (
+        15.0,
+        60.0,
+        105.0,
+        150.0,
+        195.0,
+        240.0,
+    )
+    panel_size_m: Positive = 1.2
+    panel_reflectance_percent: Annotated[float, Field(gt=0.0, le=100.0)] = 60.0
+    scans: Annotated[int, Field(ge=1, le=50)] = 5
+    observations: Annotated[int, Field(ge=1, le=50)] = Field(5, description="of each panel by each total station")
+    eccentricity_m: Vector3 = Field((0.35, -0.22, 0.10), description="LiDAR's centre minus station, east north up")
+    eccentricity_std_m: NonNegative = 0.0005
+    temperature_c: Annotated[float, Field(ge=-40.0, le=60.0)] = 27.0
+    pressure_hpa: Annotated[float, Field(ge=500.0, le=1100.0)] = 1008.0
+    relative_humidity_percent: Annotated[float, Field(ge=0.0, le=100.0)] = 65.0
+    correction_station: TotalStationModel = TotalStationModel(
+        name="station_A", class_mm=10.0, std_mm=2.0, std_ppm=2.0, additive_constant_mm=-1.4, scale_ppm=3.0
+    )
+    reference_station: TotalStationModel = TotalStationModel(
+        name="station_B", class_mm=5.0, std_mm=1.0, std_ppm=1.5, additive_constant_mm=0.6, scale_ppm=-1.0
+    )
+
+
 class Config(Model):
     """One campaign."""
 
@@ -327,6 +444,8 @@ class Config(Model):
     faults: Faults = Faults()
     render: Render = Render()
     recording: LidarRecording = LidarRecording()
+    bench: Bench = Bench()
+    ranging: Ranging = Ranging()
 
 
 # Standard deviations of post-processed navigation: position north/east/down [m], attitude roll/pitch/heading [deg].

@@ -95,6 +95,31 @@ class CampaignFolder:
         return self.root / "sensors" / "rig.json"
 
     @property
+    def sphere_stability(self) -> Path:
+        """Images and log.csv of 8.2.2.1."""
+        return self.root / "bench" / "sphere_stability"
+
+    @property
+    def sphere_repeatability(self) -> Path:
+        """Images and log.csv of 8.2.2.2."""
+        return self.root / "bench" / "sphere_repeatability"
+
+    @property
+    def chessboard(self) -> Path:
+        """board.json, images and log.csv of 9.2.2."""
+        return self.root / "bench" / "chessboard"
+
+    @property
+    def room(self) -> Path:
+        """The benches' room and instruments (6.3)."""
+        return self.root / "bench" / "room.json"
+
+    @property
+    def ranging(self) -> Path:
+        """line.json, total_station.csv and scans/ of 9.1.2."""
+        return self.root / "ranging"
+
+    @property
     def truth(self) -> Path:
         return self.root / "truth"
 

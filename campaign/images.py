@@ -125,8 +125,8 @@ def read_image(path: Path, *, width_px: int, height_px: int, bands: int) -> np.n
     """(height, width, bands) uint16. The size in the file is checked against the sheet before pixels are decoded."""
     expected = f"{width_px} x {height_px} px, {bands} bands of uint16"
     _check_bytes(path, width_px * height_px * bands * 2)
-    with _tiff(path) as tiff:
-        page = _page(path, tiff)
+    with open_tiff(path) as tiff:
+        page = first_page(path, tiff)
         separate = bands > 1 and page.planarconfig == 2
         shape = (height_px, width_px) if bands == 1 else (height_px, width_px, bands)
         shape = (bands, height_px, width_px) if separate else shape
@@ -137,7 +137,7 @@ def read_image(path: Path, *, width_px: int, height_px: int, bands: int) -> np.n
             )
         if page.dtype != np.uint16:
             raise CampaignError("image of another depth", where=str(path), got=page.dtype, expected="uint16")
-        _check_strips(path, page)
+        check_strips(path, page)
         dn = page.asarray()
     if separate:
         dn = np.moveaxis(dn, 0, -1)
@@ -147,8 +147,8 @@ def read_image(path: Path, *, width_px: int, height_px: int, bands: int) -> np.n
 def check_image(path: Path, *, width_px: int, height_px: int, bands: int) -> None:
     """What `read_image` checks, without decoding."""
     _check_bytes(path, width_px * height_px * bands * 2)
-    with _tiff(path) as tiff:
-        page = _page(path, tiff)
+    with open_tiff(path) as tiff:
+        page = first_page(path, tiff)
         if (page.imagewidth, page.imagelength, page.samplesperpixel) != (width_px, height_px, bands):
             raise CampaignError(
                 "image of another size than the camera's sheet states",
@@ -158,7 +158,7 @@ def check_image(path: Path, *, width_px: int, height_px: int, bands: int) -> Non
             )
         if page.dtype != np.uint16:
             raise CampaignError("image of another depth", where=str(path), got=page.dtype, expected="uint16")
-        _check_strips(path, page)
+        check_strips(path, page)
 
 
 def _check_bytes(path: Path, size: int) -> None:
@@ -205,8 +205,8 @@ def read_tags(path: Path) -> dict[str, object]:
     else:
         source, xmp = path, None
     out: dict[str, object] = {}
-    with _tiff(path, source) as tiff:
-        tags = _page(path, tiff).tags
+    with open_tiff(path, source) as tiff:
+        tags = first_page(path, tiff).tags
         sub = {code: tags[code].value for code in (EXIF_IFD, GPS_IFD) if code in tags}
         for name, code in (("Make", MAKE), ("Model", MODEL), ("BlackLevel", BLACK_LEVEL), ("WhiteLevel", WHITE_LEVEL)):
             if code in tags:
@@ -313,7 +313,7 @@ def _bytes(path: Path) -> bytes:
 
 
 @contextlib.contextmanager
-def _tiff(path: Path, source: Path | io.BytesIO | None = None) -> Iterator[tifffile.TiffFile]:
+def open_tiff(path: Path, source: Path | io.BytesIO | None = None) -> Iterator[tifffile.TiffFile]:
     """tifffile, whose many kinds of error become one line."""
     try:
         with tifffile.TiffFile(path if source is None else source) as tiff:
@@ -327,14 +327,14 @@ def _tiff(path: Path, source: Path | io.BytesIO | None = None) -> Iterator[tifff
         raise CampaignError("is no readable TIFF", where=str(path), got=lines[0][:100]) from None
 
 
-def _page(path: Path, tiff: tifffile.TiffFile) -> tifffile.TiffPage:
+def first_page(path: Path, tiff: tifffile.TiffFile) -> tifffile.TiffPage:
     page = tiff.pages[0]
     if not isinstance(page, tifffile.TiffPage):
         raise CampaignError("is no readable TIFF", where=str(path), got="no first page")
     return page
 
 
-def _check_strips(path: Path, page: tifffile.TiffPage) -> None:
+def check_strips(path: Path, page: tifffile.TiffPage) -> None:
     """Every strip lies in the file; tifffile itself would fill a missing one with zeros."""
     size = path.stat().st_size
     ends = [o + c for o, c in zip(page.dataoffsets, page.databytecounts, strict=False)]

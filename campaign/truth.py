@@ -53,6 +53,25 @@ class TrueTarget(Model):
     laser_reflectance: float | None = None
 
 
+class TrueBench(Model):
+    """The benches (8.2, 9.2). None: that bench was not simulated."""
+
+    lens: Lens | None = Field(None, description="interior orientation at the chessboard's focus setting")
+    focus_distance_m: float | None = None
+    drift_percent_per_h: float | None = Field(
+        None,
+        description="change of the lamp's output over the stability series: slope of the straight line through it, "
+        "relative to its mean, without the image-to-image noise",
+    )
+
+
+class TrueRanging(Model):
+    """The LiDAR's range errors in the form of (13): true = measured + K2 + R2 measured."""
+
+    additive_constant_m: float
+    multiplication_constant: float
+
+
 class Truth(Model):
     seed: int
     camera: TrueMounting
@@ -65,6 +84,8 @@ class Truth(Model):
     lidar_gain: float
     camera_gain: float
     targets: tuple[TrueTarget, ...]
+    bench: TrueBench | None = None
+    ranging: TrueRanging | None = None
     files: tuple[ManifestFile, ...] = ()
 
 

@@ -4,16 +4,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+from campaign.bench import read_board, read_board_log, read_room, read_sphere_log
 from campaign.errors import CampaignError, TestrangeError
 from campaign.folder import CampaignFolder, SortieFolder
 from campaign.manifest import read_manifest
+from campaign.ranging import line_path, read_line, read_readings, readings_path, scan_paths
 from campaign.records import read_environment, read_exposures, read_plan
 from campaign.sensors import read_camera, read_lidar, read_rig
 from campaign.survey import far_targets, read_spectra, read_targets
 from campaign.trajectory import Trajectory, misplaced, read_trajectory
-from evaluator.model import CampaignData, SortieData
+from evaluator.model import BenchData, CampaignData, RangingData, SortieData
 
 T = TypeVar("T")
+U = TypeVar("U")
 
 
 def load_campaign(root: Path) -> CampaignData:
@@ -40,6 +43,10 @@ def load_campaign(root: Path) -> CampaignData:
         except TestrangeError as error:
             problems.append(in_folder(error, root))
             return None
+
+    def log(place: Path, read: Callable[[Path], list[U]]) -> tuple[U, ...]:
+        path = place / "log.csv"
+        return tuple(part(path, lambda: read(path)) or ())
 
     def trajectory(place: SortieFolder) -> Trajectory:
         rms = place.trajectory_rms if place.trajectory_rms.is_file() else None
@@ -72,6 +79,18 @@ def load_campaign(root: Path) -> CampaignData:
         lidar=part(folder.lidar, lambda: read_lidar(folder.lidar)),
         rig=part(folder.rig, lambda: read_rig(folder.rig)),
         sorties=tuple(sortie(place) for place in folder.sorties()),
+        bench=BenchData(
+            room=part(folder.room, lambda: read_room(folder.room)),
+            stability=log(folder.sphere_stability, read_sphere_log),
+            repeatability=log(folder.sphere_repeatability, read_sphere_log),
+            board=part(folder.chessboard / "board.json", lambda: read_board(folder.chessboard / "board.json")),
+            board_log=log(folder.chessboard, read_board_log),
+        ),
+        ranging=RangingData(
+            line=part(line_path(folder), lambda: read_line(line_path(folder))),
+            readings=tuple(part(readings_path(folder), lambda: read_readings(readings_path(folder))) or ()),
+            scans=tuple(scan_paths(folder).items()),
+        ),
         problems=tuple(problems),
     )
 

@@ -1,12 +1,15 @@
 """What passes between the rooms of the evaluator: the campaign as read, observations, the mounting solution."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
+from campaign.bench import BoardExposure, BoardSheet, RoomSheet, SphereExposure
 from campaign.errors import TestrangeError
 from campaign.folder import CampaignFolder, SortieFolder
 from campaign.manifest import Manifest
+from campaign.ranging import RangingLine, StationReading
 from campaign.records import EnvironmentRow, Exposure, FlightPlan
 from campaign.sensors import CameraSheet, LidarSheet, Rig
 from campaign.survey import Spectra, SurveyedTarget
@@ -27,6 +30,26 @@ class SortieData:
 
 
 @dataclass(frozen=True, kw_only=True)
+class BenchData:
+    """Records of the indoor benches; images are read when they are needed. Absent: None or empty."""
+
+    room: RoomSheet | None = None
+    stability: tuple[SphereExposure, ...] = ()
+    repeatability: tuple[SphereExposure, ...] = ()
+    board: BoardSheet | None = None
+    board_log: tuple[BoardExposure, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RangingData:
+    """Records of the ranging line; the scans' points are read when they are needed."""
+
+    line: RangingLine | None = None
+    readings: tuple[StationReading, ...] = ()
+    scans: tuple[tuple[int, Path], ...] = ()  # number, file
+
+
+@dataclass(frozen=True, kw_only=True)
 class CampaignData:
     """What a folder holds; a part that is absent is None or empty."""
 
@@ -39,6 +62,8 @@ class CampaignData:
     lidar: LidarSheet | None
     rig: Rig | None
     sorties: tuple[SortieData, ...]
+    bench: BenchData = BenchData()
+    ranging: RangingData = RangingData()
     problems: tuple[str, ...] = ()  # parts that could not be read, one line each
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from evaluator.bench_model import ChessboardResult, RangingResult, SphereResult
 from evaluator.c10_1_grading import GRADE_ZH, GROUPS, INDICATORS, Grade, grade, group_grades
 from evaluator.conformity.model import Row
 from evaluator.model import (
@@ -106,6 +107,9 @@ class Evaluation:
         default_factory=dict
     )  # as in ConformityInputs
     companions: Mapping[str, object] = field(default_factory=dict)
+    sphere: SphereResult | None = None
+    chessboard: ChessboardResult | None = None
+    ranging: RangingResult | None = None
 
     @property
     def root(self) -> Path | None:

@@ -16,6 +16,10 @@ class Stream(IntEnum):
     LIDAR = 8
     RENDER = 9
     ENVIRONMENT = 10
+    # 11-13 are the scene's own (scenes.streams)
+    SPHERE = 14
+    CHESSBOARD = 15
+    RANGING = 16
 
 
 def generator(seed: int, stream: Stream, *key: int) -> np.random.Generator:

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from evaluator.bench_model import ChessboardResult, RangingResult, SphereResult
+
 Status = Literal["pass", "fail", "warning", "not_applicable", "not_recorded"]
 
 
@@ -42,6 +44,9 @@ class ConformityInputs:
     panels_picked_by: str | None = None  # "evaluator" or "person"
     frustums_picked_by: str | None = None
     indicators_measured: int | None = None  # of the eight of table 1
+    sphere: SphereResult | None = None
+    chessboard: ChessboardResult | None = None
+    ranging: RangingResult | None = None
 
 
 def row(clause: str, requirement: str, measured: str, limit: str, status: Status) -> Row:
