@@ -41,15 +41,23 @@ def joined(parts: list[files.TrueReturns]) -> files.TrueReturns:
     )
 
 
-def write(config: Config, scene: Scene, motions: dict[int, Motion], frame: SiteFrame, out: Path) -> None:
-    """Everything else of truth/ in the campaign folder `out`; truth.json with the checksums last."""
+def write(
+    config: Config,
+    scene: Scene | None,
+    motions: dict[int, Motion],
+    frame: SiteFrame,
+    out: Path,
+    bench: files.TrueBench | None = None,
+    ranging: files.TrueRanging | None = None,
+) -> None:
+    """Everything else of truth/ in the campaign folder `out`; truth.json with the checksums last. No scene: nothing flew."""
     folder = out / "truth"
     folder.mkdir(exist_ok=True)
     (folder / "campaign.toml").write_text(dump_toml(config), encoding="utf-8")
-    files.write_true_trajectories(
-        folder / "trajectory.npz", {number: trajectory_of(motion, frame, config) for number, motion in motions.items()}
-    )
-    _write_scene(scene, folder / "scene.ply")
+    if scene is not None:
+        paths = {number: trajectory_of(motion, frame, config) for number, motion in motions.items()}
+        files.write_true_trajectories(folder / "trajectory.npz", paths)
+        _write_scene(scene, folder / "scene.ply")
     camera, lidar = rig.true_mountings(config)
     faults = config.faults
     files.write_truth(
@@ -65,7 +73,9 @@ def write(config: Config, scene: Scene, motions: dict[int, Motion], frame: SiteF
             range_scale=faults.range_scale,
             lidar_gain=faults.lidar_gain,
             camera_gain=faults.camera_gain,
-            targets=tuple(_true_target(target, config) for target in scene.targets),
+            targets=tuple(_true_target(target, config) for target in (scene.targets if scene else ())),
+            bench=bench,
+            ranging=ranging,
         ),
     )
 

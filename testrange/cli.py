@@ -82,7 +82,7 @@ def simulate(
     /,
     *,
     out: Path,
-    only: Literal["camera", "lidar"] | None = None,
+    only: Literal["camera", "lidar", "bench", "ranging"] | None = None,
     set_: Settings = (),
     replace: Replace = False,
     json: Json = False,
@@ -97,7 +97,7 @@ def simulate(
     out
         The campaign folder to write.
     only
-        Leave the other sensor on the ground.
+        One part alone: one sensor's flight, the indoor benches, or the ranging line.
     """
     from campaign.load import load_config
     from testrange import pipeline

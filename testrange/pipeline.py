@@ -10,10 +10,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from campaign.atomic import complete_folder
-from campaign.config import Config
+from campaign.config import Config, Part
 from campaign.errors import CampaignError
 from evaluator.model import EvaluationError
 from evaluator.results import Evaluation, write_results
@@ -66,9 +65,9 @@ def simulate(
     progress: ProgressCallback,
     *,
     replace: bool = False,
-    only: Literal["camera", "lidar"] | None = None,
+    only: Part | None = None,
 ) -> None:
-    """Writes the campaign folder `out`; `only` leaves the other sensor on the ground."""
+    """Writes the campaign folder `out`; `only` simulates one part of it."""
     from simulator.simulate import simulate_campaign
 
     with complete_folder(out, replace) as work:

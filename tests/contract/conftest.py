@@ -12,6 +12,7 @@ TINY = Path(__file__).parents[1] / "data" / "tiny.toml"
 # Values of faults and seed that no other number of a campaign equals by chance.
 MICRO = (
     "seed=918273645",
+    'campaign.parts=["camera", "lidar"]',
     "flight.heights_m=[22.0]",
     "flight.headings_deg=[0.0]",
     "lidar.prr_hz=200000.0",

@@ -1,0 +1,68 @@
+"""The LiDAR in flight: every strip fired and written, chunk by chunk. What a pulse does is `simulator.lidar`'s."""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+
+from campaign import las
+from campaign import truth as truth_files
+from campaign.folder import CampaignFolder
+from simulator import record_truth, rig
+from simulator.lidar import simulate_strip
+from simulator.world import Range, Report
+
+
+def fly_lidar(world: Range, place: CampaignFolder, progress: Report) -> None:
+    """Point clouds and waveforms of every strip, and truth/returns_SS_LL.npz."""
+    config = world.config
+    site = config.site
+    origin = world.frame.map_from_world(np.zeros((1, 3)))[0]
+    strips = [
+        (sortie, estimated, strip)
+        for sortie, estimated in zip(world.sorties, world.estimated, strict=True)
+        for strip in sortie.strips
+    ]
+    place.truth.mkdir(exist_ok=True)
+    for sortie in world.sorties:
+        place.sortie(sortie.number).lidar.mkdir(parents=True)
+    progress("lidar", 0, len(strips))
+    for done, (sortie, estimated, strip) in enumerate(strips, start=1):
+        folder = place.sortie(sortie.number)
+        spec = las.LasSpec(
+            projection_epsg=site.projection_epsg,
+            height_epsg=site.height_epsg,
+            creation_date=config.campaign.start_time[:10],
+            system_identifier=config.lidar.name[:32],
+            offset_m=(round(float(origin[0]), -2), round(float(origin[1]), -2), 0.0),
+            sample_count=config.lidar.samples,
+            sampling_ps=round(config.lidar.sampling_ns * 1000.0),
+            bit_depth=16,
+            file_source_id=strip.number,
+        )
+        known: list[truth_files.TrueReturns] = []
+        chunks = simulate_strip(
+            world.render_scene,
+            config,
+            strip,
+            sortie.motion,
+            estimated,
+            rig.true_lidar(config),
+            rig.nominal_lidar(config),
+            world.frame,
+        )
+        waiting: Future[None] | None = None
+        with (
+            ThreadPoolExecutor(1) as pool,
+            las.StripWriter(folder.strip_las(strip.number), folder.strip_points(strip.number), spec) as writer,
+        ):
+            for chunk in chunks:
+                if waiting is not None:
+                    waiting.result()
+                waiting = pool.submit(writer.write, chunk.returns, chunk.packets)
+                known.append(chunk.truth)
+            if waiting is not None:
+                waiting.result()
+        truth_files.write_true_returns(
+            place.truth / f"returns_{sortie.number:02d}_{strip.number:02d}.npz", record_truth.joined(known)
+        )
+        progress("lidar", done, len(strips))

@@ -1,0 +1,53 @@
+"""What one simulation works with: the scene, its flight, and the navigation's errors. Nothing is rendered or written here."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from campaign.config import Config
+from scenes.build import build_scene
+from scenes.model import Scene, SunSky
+from scenes.sunsky import sun_sky
+from simulator.flight import Sortie, fly
+from simulator.frames import SiteFrame
+from simulator.motion import Motion
+from simulator.navigation import estimate_motion
+from simulator.render.scene import RenderScene, load_scene
+from simulator.times import utc_from_gps_time
+
+Report = Callable[[str, int, int], None]
+
+
+def silent(stage: str, done: int, total: int) -> None:
+    """A progress report that says nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Range:
+    """What one simulation works with."""
+
+    config: Config
+    frame: SiteFrame
+    scene: Scene
+    render_scene: RenderScene
+    sorties: tuple[Sortie, ...]
+    estimated: tuple[Motion, ...]
+
+
+def prepare_range(config: Config) -> Range:
+    """Build the scene, fly it, and draw the navigation's errors. Nothing is rendered or written."""
+    fixed = config.model_copy(update={"seed": config.seed if config.scene_seed is None else config.scene_seed})
+    scene = build_scene(fixed)
+    sorties = fly(fixed, scene.layout)
+    return Range(
+        config=config,
+        frame=SiteFrame(config.site),
+        scene=scene,
+        render_scene=load_scene(scene),
+        sorties=sorties,
+        estimated=tuple(estimate_motion(config, sortie.motion, sortie.number) for sortie in sorties),
+    )
+
+
+def light_at(world: Range, gps_time_s: float) -> SunSky:
+    """Sun and sky over the site."""
+    return sun_sky(world.config.site, world.config.environment, utc_from_gps_time(gps_time_s))
