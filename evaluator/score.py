@@ -1,4 +1,16 @@
-"""Estimates against the truth of a simulated campaign: score.json. The only module of the evaluator that opens truth/."""
+"""Estimates against the truth of a simulated campaign: score.json. The only module of the evaluator that opens truth/.
+
+Estimates come from results.json alone. Beside the block `mounting` these companions of the indicators are read:
+
+camera_reprojection_error    `names` (fx_px fy_px cx_px cy_px k1 k2 k3 p1 p2), `estimates`, `std`: three lists of one length;
+                             `image_size_px` (width, height) and `coverage` (corners in each cell: positions, rows, columns)
+                             bound the map of the distortion's error
+lidar_ranging_rmse_relative  `additive_constant_m`, `additive_constant_std_m`, `multiplication_constant`,
+                             `multiplication_constant_std`
+camera_stability             `trend_percent_per_h`, `trend_std_percent_per_h`
+
+Whatever is absent, in the results or in truth/, has no item.
+"""
 
 import math
 from dataclasses import dataclass
@@ -7,16 +19,20 @@ from typing import Any
 
 import numpy as np
 
+from campaign.config import Lens
 from campaign.folder import CampaignFolder
 from campaign.manifest import read_manifest
 from campaign.sensors import Rig, read_rig
 from campaign.truth import TrueMounting, Truth, read_truth
+from evaluator.camera_model import LENS_NAMES, lens_from_vector, lens_vector, project, project_with_jacobian, undistort
 from evaluator.frames import euler_angles
 from evaluator.georeference import nominal_mountings
 from evaluator.model import EvaluationError
 from evaluator.results import CAMERA_FROM_LIDAR, plain, read_results, write_json
 
 _AXES = ("roll", "pitch", "yaw"), ("x", "y", "z")
+_LENS_QUANTITIES = tuple(f"camera_{name}" for name in LENS_NAMES)
+_MAP_STEPS = 48  # points of the distortion's map along the image's longer side
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,22 +62,31 @@ class Score:
         return max(found) if found else None
 
 
-def true_values(truth: Truth, rig: Rig) -> dict[str, float]:
+def true_values(truth: Truth, rig: Rig | None) -> dict[str, float]:
     """Truth of every quantity of score.json, computed with the evaluator's own frames.
 
     Parameters
     ----------
     truth : Truth
-        body_from_camera and body_from_lidar as simulated.
-    rig : Rig
-        Nominal mountings: camera_from_lidar's angles are those of nominal^-1 * true.
+        body_from_camera and body_from_lidar as simulated, the benches' lens and lamp, the ranging line's constants.
+    rig : Rig or None
+        Nominal mountings: camera_from_lidar's angles are those of nominal^-1 * true. Without it no mounting is scored.
 
     Returns
     -------
     dict
-        Quantity -> value in degrees or metres.
+        Quantity -> value in the unit of its estimate.
     """
     values: dict[str, float] = {}
+    if truth.bench is not None and truth.bench.lens is not None:
+        values |= dict(zip(_LENS_QUANTITIES, lens_vector(truth.bench.lens).tolist()))
+    if truth.bench is not None and truth.bench.drift_percent_per_h is not None:
+        values["lamp_drift"] = truth.bench.drift_percent_per_h
+    if truth.ranging is not None:
+        values["ranging_additive_constant"] = truth.ranging.additive_constant_m
+        values["ranging_multiplication_constant"] = truth.ranging.multiplication_constant
+    if rig is None:
+        return values
     for sensor, mounting in (("camera", truth.camera), ("lidar", truth.lidar)):
         for axis, angle in zip(_AXES[0], mounting.boresight_deg):
             values[f"{sensor}_boresight_{axis}"] = float(angle)
@@ -101,15 +126,141 @@ def _estimates(block: dict[str, Any], where: str) -> dict[str, tuple[str, float,
         ) from None
 
 
+def _companions(results: dict[str, Any], indicator: str) -> dict[str, Any]:
+    """Companions of one indicator; empty where results.json holds none."""
+    block = results["indicators"].get(indicator)
+    found = block.get("companions") if isinstance(block, dict) else None
+    return found if isinstance(found, dict) else {}
+
+
+def _bench_estimates(results: dict[str, Any], where: str) -> dict[str, tuple[str, float, float]]:
+    """Quantity -> unit, estimate, standard deviation of benches and ranging line, from the indicators' companions."""
+    found: dict[str, tuple[str, float, float]] = {}
+    camera = _companions(results, "camera_reprojection_error")
+    if camera.get("names") is not None and camera.get("estimates") is not None:
+        names = camera["names"] if isinstance(camera["names"], list) else []
+        block = camera | {"units": ["px" if str(n).endswith("_px") else "1" for n in names]}
+        lens = _estimates(block, f"{where}: camera_reprojection_error")
+        found |= {f"camera_{name}": lens[name] for name in LENS_NAMES if name in lens}
+    single = (
+        (
+            "lidar_ranging_rmse_relative",
+            "ranging_additive_constant",
+            "m",
+            "additive_constant_m",
+            "additive_constant_std_m",
+        ),
+        (
+            "lidar_ranging_rmse_relative",
+            "ranging_multiplication_constant",
+            "1",
+            "multiplication_constant",
+            "multiplication_constant_std",
+        ),
+        ("camera_stability", "lamp_drift", "%/h", "trend_percent_per_h", "trend_std_percent_per_h"),
+    )
+    for indicator, quantity, unit, estimate, std in single:
+        companions = _companions(results, indicator)
+        if companions.get(estimate) is not None:
+            block = {
+                "names": [quantity],
+                "units": [unit],
+                "estimates": [companions[estimate]],
+                "std": [companions.get(std) or 0.0],
+            }
+            found |= _estimates(block, f"{where}: {indicator}")
+    return found
+
+
+def distortion_error(
+    estimated: Lens, true: Lens, size_px: tuple[int, int], coverage: np.ndarray | None = None
+) -> tuple[float, float]:
+    """How far apart two lenses put the same ray, over the image: root mean square of the distance.
+
+    Each point of a grid over the image becomes a ray by the estimated lens; the true lens says where that ray is seen.
+
+    Parameters
+    ----------
+    estimated, true : Lens
+    size_px : (int, int)
+        Width and height of the image. [px]
+    coverage : (rows, columns) np.ndarray, optional
+        Corners seen in each cell of the image; cells without one are left out. None: the whole image.
+
+    Returns
+    -------
+    plain_px, turned_px : float
+        As the lenses stand, and after the rotation of the estimated rays that makes them agree best: an error that a mounting
+        takes up (a principal point's against a boresight's). [px]
+    """
+    width, height = size_px
+    step = max(width, height) / _MAP_STEPS
+    columns, rows = max(2, round(width / step)), max(2, round(height / step))
+    u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
+    share = np.stack([u.ravel(), v.ravel()], axis=1)
+    if coverage is not None:
+        cell = (share * np.array(coverage.shape)[::-1]).astype(int)
+        share = share[coverage[cell[:, 1], cell[:, 0]] > 0]
+    uv = share * (width, height)
+    rays = np.column_stack([undistort(estimated, uv), np.ones(len(uv))])
+    known = np.isfinite(rays).all(axis=1) & np.isfinite(project(true, rays)).all(axis=1)
+    uv, rays = uv[known], rays[known]
+    if not len(uv):
+        return math.nan, math.nan
+    plain = _rms(project(true, rays) - uv)
+    turned = rays
+    for _ in range(5):
+        seen, d_point, _lens = project_with_jacobian(true, turned)
+        x, y, z = turned.T
+        zero = np.zeros_like(x)
+        cross = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)  # d (w x p) / d w
+        turn = np.linalg.lstsq((d_point @ cross).reshape(-1, 3), (uv - seen).ravel(), rcond=None)[0]
+        turned = turned + np.cross(turn, turned)
+    return plain, _rms(project(true, turned) - uv)
+
+
+def _rms(difference_px: np.ndarray) -> float:
+    """Root mean square of the norms of (n, 2)."""
+    return float(np.sqrt((difference_px**2).sum(axis=1).mean()))
+
+
+def _map_items(results: dict[str, Any], truth: Truth, where: str) -> list[ScoreItem]:
+    """The distortion's error as one figure over the covered field, with and without a common rotation; no z."""
+    if truth.bench is None or truth.bench.lens is None:
+        return []
+    companions = _companions(results, "camera_reprojection_error")
+    lens = _bench_estimates(results, where)
+    try:
+        estimated = lens_from_vector(np.array([lens[name][1] for name in _LENS_QUANTITIES]))
+        width, height = (int(n) for n in companions["image_size_px"])
+        coverage = companions.get("coverage")
+        cells = None if coverage is None else np.array(coverage, dtype=float).sum(axis=0)
+        if (
+            not 0 < width <= 65_000
+            or not 0 < height <= 65_000
+            or (cells is not None and (cells.ndim != 2 or not cells.size))
+        ):
+            return []
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return []  # results of which no map can be drawn; the parameters are scored all the same
+    plain, turned = distortion_error(estimated, truth.bench.lens, (width, height), cells)
+    return [
+        ScoreItem(quantity=name, unit="px", truth=0.0, estimate=value, error=value, std=0.0, z=None)
+        for name, value in (("distortion_map_rms_px", plain), ("distortion_map_rms_turned_px", turned))
+        if math.isfinite(value)
+    ]
+
+
 def score_items(results: dict[str, Any], truth: dict[str, float], where: str) -> tuple[ScoreItem, ...]:
     """Every estimated quantity whose truth is known."""
     mounting = results["mounting"]
-    if mounting.get("status") != "measured":
-        return ()
-    relative = mounting.get("camera_from_lidar")
-    found = _estimates(mounting, f"{where}: mounting")
-    if isinstance(relative, dict):
-        found |= _estimates(relative, f"{where}: mounting.camera_from_lidar")
+    found: dict[str, tuple[str, float, float]] = {}
+    if mounting.get("status") == "measured":
+        relative = mounting.get("camera_from_lidar")
+        found = _estimates(mounting, f"{where}: mounting")
+        if isinstance(relative, dict):
+            found |= _estimates(relative, f"{where}: mounting.camera_from_lidar")
+    found |= _bench_estimates(results, where)
     items = []
     for name, (unit, estimate, std) in found.items():
         if name in truth:
@@ -147,8 +298,11 @@ def score_campaign(root: Path, results_path: Path) -> Score:
         raise EvaluationError(
             "results of another campaign", where=str(results_path), got=results["campaign"], expected=manifest.campaign
         )
-    truth = true_values(read_truth(root), read_rig(folder.rig))
-    return Score(campaign=manifest.campaign, items=score_items(results, truth, str(results_path)))
+    truth = read_truth(root)
+    rig = read_rig(folder.rig) if folder.rig.exists() else None
+    where = str(results_path)
+    items = score_items(results, true_values(truth, rig), where)
+    return Score(campaign=manifest.campaign, items=(*items, *_map_items(results, truth, where)))
 
 
 def build_score(score: Score) -> dict[str, Any]:
