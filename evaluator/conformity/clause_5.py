@@ -3,6 +3,8 @@
 import numpy as np
 
 from evaluator.conformity.clause_6 import survey_accuracy, worst_flatness
+from evaluator.conformity.clause_6_3 import has_chessboard, has_sphere, sphere_row
+from evaluator.conformity.clause_9_1 import has_ranging, station_rows
 from evaluator.conformity.model import ConformityInputs, Row, missing, passed, percent, row
 from evaluator.model import CampaignData
 
@@ -11,19 +13,41 @@ _CGCS2000_ZONES = range(4513, 4555)  # 4513-4533 with zone numbers, 4534-4554 by
 _HEIGHT_1985 = 5737
 _BRIGHTNESS = (0.30, 0.80)
 _POINTS = 100
-_BENCH = ("bench", "ranging")
+
+
+def _first_flight_s(data: CampaignData) -> float | None:
+    """When the first image was taken in flight, or the first trajectory begins. [adjusted GPS s]"""
+    times = [e.gps_time_s for s in data.sorties for e in s.exposures]
+    times += [float(s.trajectory.gps_time_s[0]) for s in data.sorties if s.trajectory is not None]
+    return min(times, default=None)
+
+
+def _sensors_first(data: CampaignData) -> Row:
+    requirement = "each sensor's own radiometric and geometric performance tested before the multi-sensor test"
+    present = {
+        "camera radiometry (8.2)": has_sphere(data),
+        "camera geometry (9.2)": has_chessboard(data),
+        "LiDAR geometry (9.1)": has_ranging(data),
+    }
+    absent = [name for name, here in present.items() if not here]
+    if absent:
+        calibration = data.camera.calibration if data.camera else None
+        note = f"; camera certificate {calibration.certificate} of {calibration.date}" if calibration else ""
+        return row("5.1", requirement, f"no {', '.join(absent)} in this campaign{note}", "required", "not_recorded")
+    flown = _first_flight_s(data)
+    bench = data.bench
+    tested = [e.gps_time_s for e in (*bench.stability, *bench.repeatability)]
+    tested += [e.gps_time_s for e in bench.board_log if e.gps_time_s is not None]
+    text = f"{', '.join(present)} are part of the campaign"
+    if flown is None or not tested:
+        return row("5.1", requirement, text, "required", "pass")
+    hours = (flown - max(tested)) / 3600.0
+    text += f"; benches ended {abs(hours):.1f} h {'before' if hours > 0 else 'after'} the flight began"
+    return row("5.1", requirement, text, "required", passed(hours > 0.0))
 
 
 def _content(data: CampaignData, measured: ConformityInputs) -> list[Row]:
-    present = [name for name in _BENCH if (data.folder.root / name).is_dir()]
-    requirement = "each sensor's own radiometric and geometric performance tested before the multi-sensor test"
-    calibration = data.camera.calibration if data.camera else None
-    if len(present) == len(_BENCH):
-        first = row("5.1", requirement, "bench and ranging records are part of the campaign", "required", "pass")
-    else:
-        absent = ", ".join(f"{n}/" for n in _BENCH if n not in present)
-        note = f"; camera certificate {calibration.certificate} of {calibration.date}" if calibration else ""
-        first = row("5.1", requirement, f"no {absent} in this campaign{note}", "required", "not_recorded")
+    first = _sensors_first(data)
     requirement = "all indicators of table 1 measured"
     if measured.indicators_measured is None:
         return [first, missing("5.2", requirement, "8 of 8", "count of measured indicators")]
@@ -35,19 +59,11 @@ def _content(data: CampaignData, measured: ConformityInputs) -> list[Row]:
 
 
 def _instruments(data: CampaignData) -> list[Row]:
-    rows = []
-    stated = data.plan.instruments if data.plan else {}
-    bench = (data.folder.root / "bench").is_dir()
-    ranging = (data.folder.root / "ranging").is_dir()
+    def unused(name: str, limit: str) -> Row:
+        return row("5.3", name, "not used in this campaign", limit, "not_applicable")
 
-    def by_plan(key: str, name: str, limit: str, needed: bool) -> Row:
-        if not needed:
-            return row("5.3", name, "not used in this campaign", limit, "not_applicable")
-        if key not in stated:
-            return missing("5.3", name, limit, f"statement of {key} in plan.json")
-        return row("5.3", name, stated[key], limit, "pass")
-
-    rows.append(by_plan("integrating_sphere", "integrating sphere", "traceable, third class or better", bench))
+    sphere = has_sphere(data)
+    rows = [sphere_row("5.3", data) if sphere else unused("integrating sphere", "traceable, third class or better")]
     flatness = worst_flatness(data)
     name, limit = "reference panels", "flatness better than 5 %; BaSO4, PTFE or water-based paint"
     if flatness is None:
@@ -70,8 +86,9 @@ def _instruments(data: CampaignData) -> list[Row]:
         horizontal, height = accuracy
         text = f"{horizontal * 1000:.1f} mm horizontally, {height * 1000:.1f} mm in height, at worst"
         rows.append(row("5.3", name, text, limit, passed(horizontal < 0.01 and height < 0.02)))
-    rows.append(by_plan("total_station", "total station", "10 mm class, 5 mm class for relative true values", ranging))
-    return rows
+    if has_ranging(data):
+        return rows + station_rows(("5.3", "5.3"), data)
+    return [*rows, unused("total station", "10 mm class, 5 mm class for relative true values")]
 
 
 def _datum(data: CampaignData) -> list[Row]:

@@ -1,7 +1,13 @@
-"""8.1.2 a, 8.3.2 a and c, 9.3.2 a to c: how many targets there are, how they spread, and who found them."""
+"""8.1.2 a, 8.3.2 a and c, 9.3.2 a to c: how many targets there are, how they spread, and who found them.
+
+The order of clauses 8 and 9 is kept here; benches and ranging line: clause_8_2, clause_9_1, clause_9_2.
+"""
 
 import numpy as np
 
+from evaluator.conformity.clause_8_2 import clause_8_2
+from evaluator.conformity.clause_9_1 import clause_9_1
+from evaluator.conformity.clause_9_2 import clause_9_2
 from evaluator.conformity.model import ConformityInputs, Row, missing, passed, percent, row
 from evaluator.model import CampaignData
 
@@ -73,10 +79,15 @@ def _frustums(data: CampaignData, measured: ConformityInputs) -> list[Row]:
 
 
 def clause_8_9(data: CampaignData, measured: ConformityInputs) -> list[Row]:
-    """Rows of clauses 8 and 9 that a range campaign can meet; those of the benches belong to the benches."""
+    """Rows of clauses 8 and 9, in their order."""
+    lidar, both = _panels(data, measured)
     return [
-        *_panels(data, measured),
+        lidar,
+        *clause_8_2(data, measured),
+        both,
         _picked("8.3.2 c", "reference panels", measured.panels_picked_by),
+        *clause_9_1(data, measured),
+        *clause_9_2(data, measured),
         *_frustums(data, measured),
         _picked("9.3.2 c", "geometric targets", measured.frustums_picked_by),
     ]

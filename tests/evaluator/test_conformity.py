@@ -9,7 +9,9 @@ from campaign.trajectory import Trajectory
 from evaluator.conformity import ConformityInputs, Row, conformity_rows, flight_height
 from evaluator.conformity.clause_6 import band_flatness, common_field_half_m
 from evaluator.conformity.flight import acceleration, sun_elevation, wind_two_minute_mean
-from evaluator.model import CampaignData, EvaluationError
+from evaluator.model import BenchData, CampaignData, EvaluationError, RangingData
+
+NO_BENCH = ("6.3.1", "6.3.2", "8.2.2", "9.1.2", "9.2.2")  # one row each where there is no bench and no ranging line
 
 
 def statuses(rows: list[Row], clause: str, word: str = "") -> list[str]:
@@ -31,15 +33,17 @@ def test_good_flight(campaign_data: CampaignData, conformity_inputs: ConformityI
     expected += (
         "6.2.2_g 6.2.3_a 6.2.3_b 7.1_a 7.1_b 7.1_c 7.1_d 7.1_e 7.1_f 7.1_g 7.2_a 7.2_b 7.2_c 7.2_d 7.3_a 7.3_b 7.3_c "
     )
-    expected += "7.4_a 7.4_b 7.4_c 8.1.2_a 8.3.2_a 8.3.2_c 9.3.2_a 9.3.2_b 9.3.2_c"
+    expected += "7.4_a 7.4_b 7.4_c 8.1.2_a 8.3.2_a 8.3.2_c 9.3.2_a 9.3.2_b 9.3.2_c "
+    expected += " ".join(NO_BENCH)
     assert clauses == {c.replace("_", " ") for c in expected.split()}
 
 
 def test_nothing_recorded(bare_data: CampaignData) -> None:
     """Rationale: an early field campaign has nothing but a manifest. Expected: every row not recorded, except the datum that the
-    manifest itself states and the bench instruments that nobody used."""
+    manifest itself states, and benches and instruments that nobody used."""
     rows = conformity_rows(bare_data, ConformityInputs())
-    assert {r.status for r in rows if r.clause not in ("5.3", "5.4 a", "5.4 b")} == {"not_recorded"}
+    assert {r.status for r in rows if r.clause not in ("5.3", "5.4 a", "5.4 b", *NO_BENCH)} == {"not_recorded"}
+    assert [r.status for r in rows if r.clause in NO_BENCH] == ["not_applicable"] * 5
     assert statuses(rows, "5.3") == ["not_applicable", "not_recorded", "not_recorded", "not_applicable"]
     assert statuses(rows, "5.4 a") + statuses(rows, "5.4 b") == ["pass"] * 3
 
@@ -49,7 +53,7 @@ def test_nothing_recorded(bare_data: CampaignData) -> None:
 )
 def test_each_part_may_be_missing(campaign_data: CampaignData, conformity_inputs: ConformityInputs, part: str) -> None:
     """Rationale: one unreadable file must not take the table with it. Expected: as many rows as ever, and none fails."""
-    empty = () if part in ("targets", "sorties") else None
+    empty = {"targets": (), "sorties": (), "bench": BenchData(), "ranging": RangingData()}.get(part)
     rows = conformity_rows(replace(campaign_data, **{part: empty}), conformity_inputs)
     assert len(rows) == len(conformity_rows(campaign_data, conformity_inputs))
     assert "not_recorded" in {r.status for r in rows}
