@@ -390,6 +390,8 @@ class TotalStationModel(Model):
     angle_std_deg: NonNegative = 0.0006
     additive_constant_mm: float = Field(0.0, description="K1 of its certificate: added to what it reads")
     scale_ppm: float = Field(0.0, description="R1 of its certificate: times what it reads, added")
+    additive_constant_std_mm: NonNegative = Field(0.2, description="how far K1 may be off; the certificate states it")
+    scale_std_ppm: NonNegative = Field(0.5, description="the same for R1")
     wavelength_um: Annotated[float, Field(ge=0.3, le=2.0)] = 0.658
     reference_index: Annotated[float, Field(ge=1.0, le=1.001)] = Field(1.000286338, description="n0 of its design")
 
@@ -408,6 +410,11 @@ class Ranging(Model):
     panel_size_m: Positive = 1.2
     panel_reflectance_percent: Annotated[float, Field(gt=0.0, le=100.0)] = 60.0
     scans: Annotated[int, Field(ge=1, le=50)] = 5
+    scan_rate_hz: Positive = Field(30.0, description="scan lines a second on the turntable; they run up and down")
+    turn_rate_deg_s: Positive = Field(1.2, description="of the turntable, which carries the lines along the panels")
+    tilt_deg: Annotated[float, Field(ge=0.0, le=30.0)] = Field(
+        2.0, description="how far the instrument's axes lean, at most; their direction is drawn"
+    )
     observations: Annotated[int, Field(ge=1, le=50)] = Field(5, description="of each panel by each total station")
     eccentricity_m: Vector3 = Field((0.35, -0.22, 0.10), description="LiDAR's centre minus station, east north up")
     eccentricity_std_m: NonNegative = 0.0005

@@ -38,6 +38,10 @@ class TotalStation(Model):
     class_ppm: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     additive_constant_m: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(description="K1, added to what it reads")
     scale: Annotated[float, Field(ge=-0.01, le=0.01)] = Field(description="R1, times what it reads, added")
+    additive_constant_std_m: Annotated[float, Field(ge=0.0, le=0.1)] = Field(
+        0.0, description="of K1, by the certificate"
+    )
+    scale_std: Annotated[float, Field(ge=0.0, le=0.001)] = Field(0.0, description="of R1, by the certificate")
     reference_index: Annotated[float, Field(ge=1.0, le=1.001)] = Field(description="n0 of its design")
     wavelength_um: Annotated[float, Field(ge=0.3, le=2.0)] = Field(description="of the carrier")
     serves: tuple[str, ...] = Field(

@@ -8,7 +8,7 @@ with the nominal mounting places the returns, as post-processing does on real da
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -50,6 +50,16 @@ class StripChunk:
     returns: Returns
     packets: np.ndarray  # (p, samples) uint16
     truth: TrueReturns
+
+
+class Chart(Protocol):
+    """From the axes that beams are traced in to the coordinates that are written."""
+
+    origin_m: np.ndarray  # (3,)
+
+    def relative(self, world_m: np.ndarray) -> np.ndarray:
+        """(n, 3) -> (n, 3) minus `origin_m`. [m]"""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +110,32 @@ def simulate_strip(
     nominal_mounting: SensorMounting,
     site_frame: SiteFrame,
 ) -> Iterator[StripChunk]:
-    """Fire every pulse of one strip inside the scanner's sector.
+    """Fire every pulse of one strip inside the scanner's sector; coordinates are the map's. See `observe`."""
+    chart = MapPatch(site_frame)
+    return observe(
+        render_scene, config, strip, true_motion, estimated_motion, true_mounting, nominal_mounting, chart, Stream.LIDAR
+    )
+
+
+def observe(
+    render_scene: "RenderScene",
+    config: Config,
+    strip: Strip,
+    true_motion: Motion,
+    estimated_motion: Motion,
+    true_mounting: SensorMounting,
+    nominal_mounting: SensorMounting,
+    chart: Chart,
+    stream: Stream,
+) -> Iterator[StripChunk]:
+    """Beams, waveforms, echoes and rows of one strip, or of one scan of the ranging line.
+
+    Parameters
+    ----------
+    chart : Chart
+        What places a return: the site's map, or the instrument's own axes.
+    stream : Stream
+        Of the noise, with the strip's sortie and number.
 
     Yields
     ------
@@ -120,7 +155,7 @@ def simulate_strip(
         _require_cover(motion, strip, clock_s)
     optics = optics_from(lidar, config.environment.visibility_km)
     tracer = Tracer(render_scene, backscatter(render_scene.scene, lidar.wavelength_nm), optics)
-    post = _PostProcessing(config, strip, estimated_motion, nominal_mounting, site_frame, render_scene.scene, optics)
+    post = _PostProcessing(config, strip, estimated_motion, nominal_mounting, chart, render_scene.scene, optics)
     device = Device(lidar, threads=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
     count = scanner.pulse_count(strip.end_s - strip.start_s)
     limit_m = unambiguous_range_m(scanner.pulse_interval_s)
@@ -129,7 +164,9 @@ def simulate_strip(
         ahead = None
         for start in [*starts, None]:
             # While the workers trace one chunk, this thread aims the next one and reads out the one before.
-            shots = None if start is None else _aim(config, strip, scanner, start, count, true_motion, true_mounting)
+            shots = None
+            if start is not None:
+                shots = _aim(config, strip, scanner, start, count, true_motion, true_mounting, stream)
             echoes = None if ahead is None else ahead[1]()
             launched = None if shots is None else (shots, tracer.launch(shots.beams))
             if ahead is not None and echoes is not None:
@@ -174,6 +211,7 @@ def _aim(
     count: int,
     motion: Motion,
     mounting: SensorMounting,
+    stream: Stream,
 ) -> _Shots:
     """True beams of the chunk that begins with pulse `start`, and all its random numbers."""
     from simulator.render.waveforms import Beams
@@ -182,7 +220,7 @@ def _aim(
     index = np.arange(start, min(start + config.recording.pulses_per_chunk, count))
     normals, chances = [], []
     for block in range(start, start + len(index), BLOCK):
-        rng = generator(config.seed, Stream.LIDAR, strip.sortie, strip.number, block // BLOCK)
+        rng = generator(config.seed, stream, strip.sortie, strip.number, block // BLOCK)
         size = min(BLOCK, count - block)
         normals.append(rng.standard_normal((3, size)))
         chances.append(draw_chance(rng, size, lidar.samples))
@@ -209,7 +247,7 @@ class _PostProcessing:
         strip: Strip,
         motion: Motion,
         mounting: SensorMounting,
-        site_frame: SiteFrame,
+        chart: Chart,
         scene: Scene,
         optics: "Optics",
     ) -> None:
@@ -217,7 +255,7 @@ class _PostProcessing:
         self._strip = strip
         self._motion = motion
         self._mounting = mounting
-        self._map = MapPatch(site_frame)
+        self._map = chart
         self._scale_dn_m2 = optics.scale_dn_m2
         self._near_target = None if config.recording.waveforms == "all" else _NearTargets(config, scene)
         corner = scene.mesh.vertices_m[scene.mesh.faces]
