@@ -1,16 +1,20 @@
-"""Every problem of a campaign folder, or of a configuration, at once. Formats and cross references; no indicator is computed."""
+"""Every problem of a campaign folder, or of a configuration, at once. Formats and cross references; no indicator is computed.
+
+bench/ and ranging/ are `check_bench`'s.
+"""
 
 import contextlib
 import datetime
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
-from campaign.errors import ConfigError, TestrangeError
+from campaign.check_bench import check_bench, check_ranging
+from campaign.check_collector import Collector, Problem
+from campaign.errors import ConfigError
 from campaign.folder import CampaignFolder, SortieFolder
 from campaign.images import check_image
 from campaign.las import StripReader
@@ -30,21 +34,7 @@ from campaign.survey import crs_wkt, far_targets, read_spectra, read_targets
 from campaign.trajectory import Trajectory, beijing_time, misplaced, read_trajectory
 from campaign.truth import read_truth, verify_truth
 
-T = TypeVar("T")
 _STRIP = re.compile(r"strip_(\d{1,4})\.(las|laz)")
-_NOT_MEASURED = "missing; what needs it is reported as not measured"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Problem:
-    """One line: severity "error" stops an evaluation of that part, "warning" does not."""
-
-    severity: str
-    where: str
-    message: str
-
-    def __str__(self) -> str:
-        return f"{self.severity}: {self.where}: {self.message}"
 
 
 def check_campaign(root: Path, *, checksums: bool = True, truth: bool = True) -> list[Problem]:
@@ -61,13 +51,16 @@ def check_campaign(root: Path, *, checksums: bool = True, truth: bool = True) ->
     if manifest is not None:
         check.manifest(manifest, checksums)
     check.plain_files()
-    check.survey(manifest)
-    plan = check.read_part(check.folder.plan, read_plan)
-    camera = check.read_part(check.folder.camera, read_camera)
-    lidar = check.read_part(check.folder.lidar, read_lidar)
-    check.read_part(check.folder.rig, read_rig)
     sorties = check.folder.sorties()
-    if not sorties:
+    outdoor = _outdoor(check.folder)
+    check.survey(manifest, expected=outdoor)
+    plan = check.read_part(check.folder.plan, read_plan, expected=outdoor)
+    camera = check.read_part(check.folder.camera, read_camera, expected=outdoor or _has_sphere(check.folder))
+    lidar = check.read_part(check.folder.lidar, read_lidar, expected=outdoor)
+    check.read_part(check.folder.rig, read_rig, expected=outdoor)
+    check_bench(check)
+    check_ranging(check, None if manifest is None else manifest.gps_week)
+    if not sorties and outdoor:
         check.add("warning", check.folder.root / "sorties", "no sortie; nothing was flown")
     for sortie in sorties:
         _check_sortie(check, sortie, manifest, plan, camera, lidar)
@@ -77,6 +70,17 @@ def check_campaign(root: Path, *, checksums: bool = True, truth: bool = True) ->
             for line in verify_truth(check.folder.root, true):
                 check.file_line(line)
     return check.problems
+
+
+def _outdoor(folder: CampaignFolder) -> bool:
+    """Whether the campaign is one of a flight, as far as it goes: not one of benches or a ranging line alone."""
+    alone = (folder.root / "bench").is_dir() or folder.ranging.is_dir()
+    return not alone or bool(folder.sorties()) or folder.targets.parent.exists()
+
+
+def _has_sphere(folder: CampaignFolder) -> bool:
+    """A sphere's images need the black level of sensors/camera.json."""
+    return folder.sphere_stability.is_dir() or folder.sphere_repeatability.is_dir()
 
 
 def check_config(path: Path | str, overrides: Sequence[str] = ()) -> list[Problem]:
@@ -89,52 +93,16 @@ def check_config(path: Path | str, overrides: Sequence[str] = ()) -> list[Proble
 
 
 @dataclass(kw_only=False)
-class _Check:
-    """Collects problems; paths are shown relative to the campaign folder."""
+class _Check(Collector):
+    """What more than one part of the check needs."""
 
-    folder: CampaignFolder
-    problems: list[Problem] = field(default_factory=list)
     target_ids: set[str] = field(default_factory=set)
-
-    def name(self, path: Path) -> str:
-        return path.relative_to(self.folder.root).as_posix() if path.is_relative_to(self.folder.root) else str(path)
-
-    def add(self, severity: str, path: Path, message: str) -> None:
-        self.problems.append(Problem(severity=severity, where=self.name(path), message=message))
 
     def file_line(self, line: str) -> None:
         """One line of the manifest's comparison."""
         where, _, message = line.partition(": ")
         severity = "warning" if message == "not in the manifest" else "error"
         self.problems.append(Problem(severity=severity, where=where, message=message))
-
-    @contextlib.contextmanager
-    def catching(self, path: Path) -> Iterator[None]:
-        try:
-            yield
-        except TestrangeError as error:
-            for line in error.problems:
-                other, _, rest = line.removeprefix(f"{self.folder.root}/").partition(": ")
-                if rest and line.startswith(f"{self.folder.root}/") and not line.startswith(str(path)):
-                    self.problems.append(Problem(severity="error", where=other, message=rest))
-                    continue
-                message = line.removeprefix(str(path)).lstrip(": ").replace(f"{self.folder.root}/", "")
-                message = message.removeprefix(f"{self.folder.root}: ")
-                self.add("error", path, message)
-
-    def read(self, path: Path, reader: Callable[[Path], T]) -> T | None:
-        with self.catching(path):
-            return reader(path)
-        return None
-
-    def read_part(self, path: Path, reader: Callable[[Path], T]) -> T | None:
-        """A part that a campaign may lack."""
-        if not path.exists():
-            self.add("warning", path, _NOT_MEASURED)
-            return None
-        if not path.is_file():
-            return None  # named by `plain_files`, or a folder of that name
-        return self.read(path, reader)
 
     def plain_files(self) -> None:
         """Whatever is neither a plain file nor a folder: a link may lead out, a pipe would never end."""
@@ -159,15 +127,15 @@ class _Check:
                 "error", self.folder.manifest, f"start_time: got {manifest.start_time!r}; expected ISO 8601 with offset"
             )
 
-    def survey(self, manifest: Manifest | None) -> None:
-        targets = self.read_part(self.folder.targets, read_targets) or []
+    def survey(self, manifest: Manifest | None, *, expected: bool) -> None:
+        targets = self.read_part(self.folder.targets, read_targets, expected=expected) or []
         if manifest is not None:
             with self.catching(self.folder.targets):
                 for line in far_targets(
                     targets, manifest.latitude_deg, manifest.longitude_deg, manifest.projection_epsg
                 ):
                     self.add("error", self.folder.targets, line)
-        spectra = self.read_part(self.folder.spectra, read_spectra)
+        spectra = self.read_part(self.folder.spectra, read_spectra, expected=expected)
         self.target_ids = {t.id for t in targets}
         panels = [t.id for t in targets if t.kind == "panel"]
         if spectra is None:
