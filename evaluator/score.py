@@ -62,6 +62,13 @@ class Score:
         return max(found) if found else None
 
 
+def decimals(std: float | None) -> int:
+    """Decimals with which a figure is shown: two digits of its standard deviation, 2 to 8; 4 where there is none."""
+    if std is None or not math.isfinite(std) or std <= 0.0:
+        return 4
+    return min(max(1 - math.floor(math.log10(std)), 2), 8)
+
+
 def true_values(truth: Truth, rig: Rig | None) -> dict[str, float]:
     """Truth of every quantity of score.json, computed with the evaluator's own frames.
 

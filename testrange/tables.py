@@ -10,7 +10,7 @@ from rich.text import Text
 
 from evaluator.c10_1_grading import GRADE_ZH, GROUPS, INDICATORS, Grade, group_grades
 from evaluator.results import Evaluation
-from evaluator.score import Score
+from evaluator.score import Score, decimals
 
 WIDTH = 100
 _COLOUR: dict[Grade, str] = {
@@ -89,20 +89,20 @@ def print_conformity(evaluation: Evaluation, out: Console) -> None:
 def print_score(score: Score, out: Console) -> None:
     """Truth against estimate of the quantities that matter most, and the greatest |z|."""
     if not score.items:
-        out.print("score: no mounting was estimated")
+        out.print("score: nothing was estimated whose truth is known")
         return
     table = Table(title="score against truth/", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in ("quantity", "truth", "estimate", "error", "std", "z"):
         table.add_column(name, justify="left" if name == "quantity" else "right")
     for item in score.items:
         z = "–" if item.z is None else f"{item.z:+.2f}"
-        digits = 4
+        digits = decimals(item.std)
         table.add_row(
             f"{item.quantity} [{item.unit}]".replace("[", r"\["),
             f"{item.truth:.{digits}f}",
             f"{item.estimate:.{digits}f}",
             f"{item.error:+.{digits}f}",
-            f"{item.std:.{digits}f}",
+            f"{item.std:.{digits}f}" if item.std > 0.0 else "–",
             z,
         )
     out.print(table)

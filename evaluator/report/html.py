@@ -6,15 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import numpy as np
 from matplotlib.figure import Figure
 
 from campaign.errors import TestrangeError
 from evaluator.c10_1_grading import GRADE_ZH, GROUPS, INDICATORS, group_grades
-from evaluator.report import photos, plots
+from evaluator.camera_model import LENS_NAMES, lens_vector
+from evaluator.report import bench_plots, photos, plots
 from evaluator.report.style import GRADE_COLOURS, font_uri, jpeg_uri, style, svg_uri
 from evaluator.report.words import HOW
-from evaluator.results import Evaluation, build_results
-from evaluator.score import Score
+from evaluator.results import Evaluation, build_results, plain
+from evaluator.score import Score, decimals
 
 _FONT_PLACE = "/*font*/"
 
@@ -116,10 +118,86 @@ def _pictures(evaluation: Evaluation, score: Score | None) -> list[Picture]:
             "between the sensors: the navigation they share."
         )
         out.append(_picture("Correlations 相关系数", caption, lambda: plots.correlations(evaluation)))
+    out += _bench_pictures(evaluation)
     if score is not None and score.items:
         caption = "Only a simulated campaign knows the truth."
         out.append(_picture("Score", caption, lambda: plots.truth_errors(score)))
     return out
+
+
+def _bench_pictures(evaluation: Evaluation) -> list[Picture]:
+    """Those of 8.2, 9.1 and 9.2 that the campaign has."""
+    sphere, board, ranging = evaluation.sphere, evaluation.chessboard, evaluation.ranging
+    out = []
+    if sphere is not None and (sphere.stability_series or sphere.repeatability_series):
+        caption = "Mean of the nine central pixels of each image. Shaded: ±1 SD. Dashed: the lamp's trend."
+        out.append(_picture("Integrating sphere 积分球", caption, lambda: bench_plots.sphere_series(sphere)))
+    if board is not None and (board.images or board.lens is not None):
+        caption = "Corner as found to corner as projected, formula (19)."
+        out.append(_picture("Chessboard residuals 重投影残差", caption, lambda: bench_plots.board_residuals(board)))
+        caption = "9.2.2 d asks for the whole field at each distance."
+        out.append(_picture("Coverage 视场覆盖", caption, lambda: bench_plots.coverage(board)))
+        caption = "Where the lens puts a point against where it would stand without distortion."
+        out.append(_picture("Distortion 畸变", caption, lambda: bench_plots.distortion_map(board)))
+        caption = "Figures where |ρ| > 0.1. k1, k2 and k3 always correlate: their sum over the field is determined, not each alone."
+        out.append(_picture("Camera correlations 内参相关系数", caption, lambda: bench_plots.lens_correlations(board)))
+        caption = "Colour: distance of the board."
+        out.append(_picture("Images of the chessboard 各影像误差", caption, lambda: bench_plots.image_errors(board)))
+    if ranging is not None and ranging.panels:
+        caption = "True = measured + K₂ + R₂ · measured, formula (13); all distances from the LiDAR's centre."
+        out.append(_picture("Ranging line 测距误差", caption, lambda: bench_plots.ranging_errors(ranging)))
+    return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterTable:
+    """Estimated parameters with their standard deviations: name, unit, estimate, std (None where unknown)."""
+
+    title: str
+    note: str
+    rows: tuple[tuple[str, str, float, float | None], ...]
+
+
+def _deviations(covariance: np.ndarray | None, n: int) -> list[float | None]:
+    return [None] * n if covariance is None else [float(v) for v in np.sqrt(np.diag(covariance))]
+
+
+def _parameter_tables(evaluation: Evaluation) -> list[ParameterTable]:
+    """The camera's nine parameters by 9.2, K2 and R2 by 9.1."""
+    out = []
+    board, line = evaluation.chessboard, evaluation.ranging
+    if board is not None and board.lens is not None:
+        values = lens_vector(board.lens).tolist()
+        rows = tuple(
+            (n.removesuffix("_px"), "px" if n.endswith("_px") else "1", value, std)
+            for n, value, std in zip(LENS_NAMES, values, _deviations(board.covariance, 9), strict=True)
+        )
+        note = f"{len(board.images)} images"
+        note += f", {len(board.not_used)} not used" if board.not_used else ""
+        note += "" if board.focus_distance_m is None else f"; lens set to {board.focus_distance_m:g} m"
+        note += "" if board.f_number is None else f", f/{board.f_number:g}"
+        note += ". The image's top left corner is (0, 0), the centre of its first pixel (0.5, 0.5)."
+        out.append(ParameterTable(title="Camera 内方位元素与畸变参数", note=note, rows=rows))
+    if line is not None and line.additive_constant_m is not None and line.multiplication_constant is not None:
+        k_std, r_std = _deviations(line.covariance, 2)
+        rows = (
+            ("K₂, additive constant 加常数", "m", line.additive_constant_m, k_std),
+            ("R₂, multiplication constant 乘常数", "1", line.multiplication_constant, r_std),
+        )
+        note = "true = measured + K₂ + R₂ · measured."
+        out.append(ParameterTable(title="LiDAR ranging 激光雷达测距常数", note=note, rows=rows))
+    return out
+
+
+def _left_out(evaluation: Evaluation) -> list[str]:
+    """Images and panels of benches and line that could not serve, with the reason."""
+    out: list[str] = []
+    if evaluation.sphere is not None:
+        for series in (evaluation.sphere.stability_series, evaluation.sphere.repeatability_series):
+            out += series.left_out if series is not None else ()
+    for result in (evaluation.chessboard, evaluation.ranging):
+        out += [f"{name}: {why}" for name, why in result.not_used.items()] if result is not None else []
+    return [str(line) for line in plain(out, evaluation.root)]
 
 
 def _indicator_cards(evaluation: Evaluation, results: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -185,6 +263,9 @@ def render_report(evaluation: Evaluation, score: Score | None) -> str:
         problems=results["problems"],
         mounting=results["mounting"],
         mounting_rows=_mounting_rows(results),
+        parameters=_parameter_tables(evaluation),
+        left_out=_left_out(evaluation),
+        decimals=decimals,
         score=score,
         pictures=pictures,
         colours=GRADE_COLOURS,

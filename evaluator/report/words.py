@@ -19,12 +19,16 @@ HOW: dict[str, Explanation] = {
         "the leave-one-panel-out figure stands beside it.",
     ),
     "camera_stability": Explanation(
-        formula="RSD = SD / mean(DN)", words="21 images of an integrating sphere over one hour, every three minutes."
+        formula="DNᵢ = mean of 9 pixels,   SD = √( Σ (DNᵢ − mean)² / (n − 1) ),   RSD = 100 · SD / mean",
+        words="Images of an integrating sphere every three minutes over one hour, 21 with both ends, after 20 minutes of warm-up. "
+        "DNᵢ: mean of the nine central pixels, black level subtracted, for each band; the greatest figure counts. A drift of the "
+        "lamp enters the figure and stands beside it as trend.",
     ),
     "camera_repeatability": Explanation(
-        formula="s(x) = √( Σ (xᵢ − x̄)² / (n − 1) ) / x̄",
-        words="21 images of an integrating sphere over five minutes, every 15 seconds; relative to the mean, since its bounds are "
-        "in percent.",
+        formula="s(x) = 100 · √( Σ (xᵢ − x̄)² / (n − 1) ) / x̄",
+        words="21 images of an integrating sphere every 15 seconds over five minutes. xᵢ: mean of the nine central pixels, black "
+        "level subtracted, for each band. Formula (6) gives DN and its bounds are in percent, so the figure is relative to the "
+        "mean; the one in DN stands beside it.",
     ),
     "reflectance_correlation": Explanation(
         formula="r_f = Σ (R₁ᵢ − R̄₁)(R₂ᵢ − R̄₂) / √( Σ (R₁ᵢ − R̄₁)² · Σ (R₂ᵢ − R̄₂)² )",
@@ -35,13 +39,17 @@ HOW: dict[str, Explanation] = {
         words="R₁: LiDAR, R₂: camera by the empirical line, both for the same panels.",
     ),
     "lidar_ranging_rmse_relative": Explanation(
-        formula="m_z = √( Σ (Lᵢ − L̂ᵢ)² / n ) / mean(L̂)",
-        words="Ranges to at least five panels against a total station, after the additive and the multiplicative constant "
-        "are fitted.",
+        formula="L_Q = L + K₂ + R₂ L,   m_j = √( Σ (L_Q,ᵢ − L̂ᵢ)² / n ),   m_z = 100 · m_j / mean(L̂)",
+        words="L: mean LiDAR range of a panel. K₂ and R₂ by least squares, (13)-(14), against a total station of the 10 mm class "
+        "or better, whose slope distances carry its own constants K₁, R₁ and the atmospheric correction (12) with the group index "
+        "of IUGG 1999. L̂: relative true value by a total station of the 5 mm class. Both refer to the LiDAR's centre. The figure "
+        "before the correction stands beside it.",
     ),
     "camera_reprojection_error": Explanation(
-        formula="M_z = Σ ‖wᵢ − K[R|t]Pᵢ / sᵢ‖ / n",
-        words="Chessboard corners after a full calibration of interior orientation and distortion.",
+        formula="M_z = Σ ‖ wᵢ − K [R|t] Pᵢ / sᵢ ‖ / n",
+        words="wᵢ: corner of the chessboard as found in an image, distortion removed; K [R|t] Pᵢ / sᵢ: the same corner "
+        "projected. Interior orientation, radial (k1 k2 k3) and tangential (p1 p2) distortion and the pose of every image by one "
+        "least-squares adjustment; the mean is over every corner of every accepted image.",
     ),
     "calibration_error": Explanation(
         formula="P_m = Σ Pᵢ / n",

@@ -1,0 +1,257 @@
+"""Diagrams of the benches and the ranging line: sphere series, chessboard residuals, coverage, distortion, ranging errors."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from evaluator.bench_model import BoardImage, ChessboardResult, RangingResult, SphereResult, SphereSeries
+from evaluator.camera_model import LENS_NAMES, undistort
+from evaluator.report.style import INK, SORTIE_COLOURS, figure
+from evaluator.results import correlation_matrix
+
+_GREY = "#6b7280"
+_BAND_COLOURS = {"red": "#c0392b", "green": "#2e8b57", "blue": "#1b6ca8"}
+_VECTORS = 2500  # drawn at most; the rest is in the root mean squares
+_MAP_STEPS = 60
+
+
+def _colour(index: int) -> str:
+    return SORTIE_COLOURS[index % len(SORTIE_COLOURS)]
+
+
+def _band_colour(name: str, index: int) -> str:
+    return _BAND_COLOURS.get(name.lower(), _colour(index))
+
+
+def _draw_series(axes: Axes, series: SphereSeries, trend: bool) -> None:
+    """Each band relative to its own mean, with one standard deviation either way. [%]"""
+    minutes = np.asarray(series.time_s) / 60.0
+    for band, name in enumerate(series.bands):
+        values = np.asarray(series.dn)[:, band]
+        mean = float(values.mean())
+        relative = 100.0 * (values / mean - 1.0)
+        spread = float(relative.std(ddof=1)) if relative.size > 1 else 0.0
+        colour = _band_colour(name, band)
+        axes.axhspan(-spread, spread, color=colour, alpha=0.08, lw=0)
+        label = f"{name}: mean {mean:.1f} DN, SD {spread:.3f} %"
+        axes.plot(minutes, relative, "o-", color=colour, ms=3, lw=0.8, alpha=0.9, label=label)
+        if trend and minutes.size > 2:
+            slope, offset = np.polyfit(minutes, relative, 1)
+            axes.plot(minutes, slope * minutes + offset, "--", color=colour, lw=1.1)
+            axes.plot([], [], "--", color=colour, lw=1.1, label=f"trend {60.0 * slope:+.3f} %/h")
+    axes.axhline(0.0, color=_GREY, lw=0.8)
+    axes.set(xlabel="time since the first image [min]", ylabel="DN − mean [% of mean]")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
+
+
+def sphere_series(result: SphereResult) -> Figure | None:
+    """Both series at the integrating sphere over time, and the lamp's trend in the longer one."""
+    shown = [
+        (series, title, trend)
+        for series, title, trend in (
+            (result.stability_series, "Stability 稳定性 (8.2.2.1)", True),
+            (result.repeatability_series, "Repeatability 重复性 (8.2.2.2)", False),
+        )
+        if series is not None and np.size(series.dn)
+    ]
+    if not shown:
+        return None
+    drawn = figure(5.3, 3.6 * len(shown))
+    for axes, (series, title, trend) in zip(np.atleast_1d(drawn.subplots(len(shown), 1)), shown):
+        _draw_series(axes, series, trend)
+        axes.set_title(title)
+    return drawn
+
+
+def _residuals(images: tuple[BoardImage, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of all corners: where they are seen (n, 2), projected minus observed (n, 2) [px], position (n,)."""
+    observed = np.concatenate([np.asarray(i.observed_px).reshape(-1, 2) for i in images])
+    projected = np.concatenate([np.asarray(i.projected_px).reshape(-1, 2) for i in images])
+    position = np.concatenate([np.full(len(np.asarray(i.observed_px)), i.position) for i in images])
+    return observed, projected - observed, position
+
+
+def _frame(axes: Axes, size_px: tuple[float, float]) -> None:
+    """The image's border and axes, v down."""
+    width, height = size_px
+    axes.add_patch(Rectangle((0, 0), width, height, fill=False, ec=_GREY))
+    pad = 0.02 * max(width, height)
+    axes.set(xlim=(-pad, width + pad), ylim=(height + pad, -pad), aspect="equal", xlabel="u [px]", ylabel="v [px]")
+
+
+def _size(result: ChessboardResult) -> tuple[float, float]:
+    if result.image_size_px is not None:
+        return float(result.image_size_px[0]), float(result.image_size_px[1])
+    width, height = np.max([np.asarray(i.observed_px).max(axis=0) for i in result.images], axis=0)
+    return float(width), float(height)
+
+
+def board_residuals(result: ChessboardResult) -> Figure | None:
+    """Residual vectors of the corners over the field, and their scatter about zero; one colour a distance."""
+    if not result.images:
+        return None
+    observed, shift, position = _residuals(result.images)
+    size = _size(result)
+    keep = np.linspace(0, len(observed) - 1, min(len(observed), _VECTORS)).astype(int)
+    length = np.hypot(*shift.T)
+    median = max(float(np.median(length)), 1e-9)
+    magnify = 0.025 * size[0] / median
+    drawn = figure(5.3, 6.6)
+    upper, lower = drawn.subplots(2, 1, height_ratios=(1, 1))
+    _frame(upper, size)
+    colours = np.array([_colour(p) for p in range(int(position.max()) + 1)])[position]
+    upper.quiver(
+        *observed[keep].T,
+        *(shift[keep] * magnify).T,
+        color=colours[keep],
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        width=0.0022,
+    )
+    rest = f", {len(keep)} of {len(observed)} corners" if len(keep) < len(observed) else f", {len(observed)} corners"
+    upper.set_title(f"Residual vectors 残差矢量 × {magnify:.0f}{rest}", fontsize=9)
+    reach = 1.1 * max(float(np.quantile(length, 0.999)), 1e-9)
+    lower.axhline(0.0, color=_GREY, lw=0.8)
+    lower.axvline(0.0, color=_GREY, lw=0.8)
+    for p in np.unique(position):
+        of = position == p
+        at = f"{result.distances_m[p]:.2f} m" if p < len(result.distances_m) else f"position {p + 1}"
+        lower.plot(*shift[of].T, ".", ms=2, color=_colour(int(p)), alpha=0.5, label=at, rasterized=True)
+    lower.set(xlim=(-reach, reach), ylim=(reach, -reach), aspect="equal", xlabel="Δu [px]", ylabel="Δv [px]")
+    lower.set_title("projected − observed; colour: distance")
+    lower.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), markerscale=4)
+    return drawn
+
+
+def coverage(result: ChessboardResult) -> Figure | None:
+    """Corners in each cell of the field, one map a distance (9.2.2 d); a cell without any is marked."""
+    if result.coverage is None or not np.size(result.coverage):
+        return None
+    counts = np.asarray(result.coverage)
+    size = _size(result) if result.images or result.image_size_px else (float(counts.shape[2]), float(counts.shape[1]))
+    columns = 2 if len(counts) > 1 else 1
+    rows = -(-len(counts) // columns)
+    drawn = figure(5.3, 0.5 + rows * (5.3 / columns) * size[1] / size[0] * 1.15)
+    top = max(float(counts.max()), 1.0)
+    grid = np.atleast_1d(drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)).ravel()
+    for k, axes in enumerate(grid):
+        if k >= len(counts):
+            axes.set_axis_off()
+            continue
+        picture = axes.imshow(
+            counts[k], vmin=0, vmax=top, cmap="Blues", extent=(0, size[0], size[1], 0), aspect="equal"
+        )
+        cell = np.array(size) / counts.shape[2:0:-1]
+        for i, j in zip(*np.nonzero(counts[k] == 0)):
+            axes.add_patch(Rectangle((j * cell[0], i * cell[1]), *cell, fill=False, hatch="///", ec="#b3261e", lw=0))
+        axes.grid(False)
+        at = f"{result.distances_m[k]:.2f} m" if k < len(result.distances_m) else f"position {k + 1}"
+        axes.set_title(f"{at}: {int((counts[k] > 0).sum())} of {counts[k].size} cells", fontsize=9)
+        axes.tick_params(labelsize=7)
+    drawn.colorbar(picture, ax=list(grid), shrink=0.7, label="corners in a cell")
+    drawn.suptitle("Coverage 视场覆盖; hatched: none", fontsize=10, x=0.02, ha="left")
+    return drawn
+
+
+def distortion_map(result: ChessboardResult) -> Figure | None:
+    """How far the estimated lens moves an image point from where a distortion-free one puts it. [px]"""
+    if result.lens is None or (result.image_size_px is None and not result.images):
+        return None
+    width, height = _size(result)
+    step = max(width, height) / _MAP_STEPS
+    u, v = np.meshgrid(np.arange(step / 2, width, step), np.arange(step / 2, height, step))
+    uv = np.stack([u.ravel(), v.ravel()], axis=1)
+    lens = result.lens
+    ideal = undistort(lens, uv) * (lens.fx_px, lens.fy_px) + (lens.cx_px, lens.cy_px)
+    shift = (uv - ideal).reshape(*u.shape, 2)
+    amount = np.hypot(shift[..., 0], shift[..., 1])
+    drawn = figure(5.3, 0.9 + 4.4 * height / width)
+    axes = drawn.add_subplot()
+    picture = axes.pcolormesh(u, v, amount, shading="nearest", cmap="viridis", rasterized=True)
+    if np.isfinite(amount).all() and np.ptp(amount) > 0.0:
+        lines = axes.contour(u, v, amount, levels=6, colors="white", linewidths=0.6)
+        axes.clabel(lines, fontsize=7, fmt="%.3g")
+    axes.plot(lens.cx_px, lens.cy_px, "+", color="white", ms=9, mew=1.4)
+    some = (slice(2, None, 6), slice(2, None, 6))
+    axes.quiver(u[some], v[some], shift[some][..., 0], shift[some][..., 1], color="white", angles="xy", width=0.003)
+    _frame(axes, (width, height))
+    axes.grid(False)
+    axes.set_title("Distortion as estimated 畸变图; cross: principal point")
+    drawn.colorbar(picture, ax=axes, shrink=0.8, label="distorted − ideal [px]")
+    return drawn
+
+
+def lens_correlations(result: ChessboardResult) -> Figure | None:
+    """Correlation matrix of the nine parameters of the camera."""
+    if result.covariance is None:
+        return None
+    matrix = correlation_matrix(np.asarray(result.covariance))
+    drawn = figure(5.3, 4.6)
+    axes = drawn.add_subplot()
+    picture = axes.imshow(matrix, vmin=-1, vmax=1, cmap="RdBu_r")
+    names = [n.removesuffix("_px") for n in LENS_NAMES]
+    axes.set_xticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), names)
+    axes.grid(False)
+    for i, j in zip(*np.nonzero(np.abs(np.tril(matrix, -1)) > 0.1)):
+        colour = "white" if abs(matrix[i, j]) > 0.6 else INK
+        axes.text(j, i, f"{matrix[i, j]:.2f}", ha="center", va="center", fontsize=7, color=colour)
+    axes.set_title("Correlations of the camera's parameters 相关系数")
+    drawn.colorbar(picture, ax=axes, shrink=0.8)
+    return drawn
+
+
+def image_errors(result: ChessboardResult) -> Figure | None:
+    """Root mean square of the reprojection error of every accepted image, in the order of the log."""
+    if not result.images:
+        return None
+    values = np.array([np.sqrt(np.mean(np.square(i.error_px))) for i in result.images])
+    colours = [_colour(i.position) for i in result.images]
+    drawn = figure(5.3, 3.2)
+    axes = drawn.add_subplot()
+    axes.bar(np.arange(len(values)) + 1, values, color=colours, width=0.8)
+    if result.indicator.value is not None:
+        axes.axhline(result.indicator.value, color=INK, ls="--", lw=1.0)
+        axes.plot([], [], "--", color=INK, lw=1.0, label=f"M_z {result.indicator.value:.3f} px (mean of the norms)")
+    for p in sorted({i.position for i in result.images}):
+        at = f"{result.distances_m[p]:.2f} m" if p < len(result.distances_m) else f"position {p + 1}"
+        axes.plot([], [], "s", color=_colour(p), label=at)
+    axes.grid(False, axis="x")
+    axes.set(xlabel="accepted image", ylabel="RMS [px]", xlim=(0.3, len(values) + 0.7), ylim=(0, None))
+    axes.set_title("Reprojection error of each image 每幅影像重投影误差")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3)
+    return drawn
+
+
+def ranging_errors(result: RangingResult) -> Figure | None:
+    """LiDAR minus relative true value before and after the correction by K2 and R2, over the distance."""
+    known = [p for p in result.panels if p.reference_m is not None or p.correction_m is not None]
+    if not known:
+        return None
+    truth = np.array([p.reference_m if p.reference_m is not None else p.correction_m for p in known], dtype=float)
+    raw = 1000.0 * (np.array([p.lidar_m for p in known]) - truth)
+    error = 1000.0 * np.array([p.lidar_std_m / np.sqrt(max(p.scans, 1)) for p in known])
+    after = np.array([np.nan if p.corrected_m is None else p.corrected_m for p in known], dtype=float)
+    after = 1000.0 * (after - truth)
+    drawn = figure(5.3, 5.4)
+    upper, lower = drawn.subplots(2, 1, sharex=True)
+    upper.errorbar(truth, raw, yerr=error, fmt="o", color="#d1603d", ms=4, capsize=3, lw=1.0)
+    if result.additive_constant_m is not None and result.multiplication_constant is not None:
+        span = np.array([0.0, 1.05 * truth.max()])
+        line = -1000.0 * (result.additive_constant_m + result.multiplication_constant * span)
+        upper.plot(span, line, "--", color=_GREY, lw=1.0, label="−K₂ − R₂ L")
+        upper.legend(loc="best")
+    upper.set_title("Before the correction 改正前")
+    lower.axhline(0.0, color=_GREY, lw=0.8)
+    if np.isfinite(after).any():
+        lower.errorbar(truth, after, yerr=error, fmt="o", color="#1b6ca8", ms=4, capsize=3, lw=1.0)
+    for p, x, y in zip(known, truth, after):
+        if np.isfinite(y):
+            lower.annotate(p.panel, (x, y), xytext=(5, 4), textcoords="offset points", fontsize=7, color=_GREY)
+    lower.set_title("After the correction 改正后; bars: standard error of the mean of the scans")
+    for axes in (upper, lower):
+        axes.set_ylabel("LiDAR − total station [mm]")
+    lower.set_xlabel("distance [m]")
+    return drawn
