@@ -8,7 +8,7 @@ References
 EMVA Standard 1288, release 4.0 Linear: the linear camera model.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,8 @@ LIGHT_M_S = 299792458.0
 GAUSSIAN_AREA = np.sqrt(np.pi / (4 * np.log(2)))  # of a Gaussian response over its full width at half maximum
 POISSON_BELOW_E = 50.0  # fewer electrons than this are drawn from a Poisson distribution
 ROWS_AT_ONCE = 16  # blocks of fixed size: the noise of a frame is one sequence
+DARK_CURRENT_C = 20.0  # sensor temperature for which a camera's dark current is stated
+LONGEST_EXPOSURE_S = 1.0  # on a bench; a fainter light is met with gain
 DAYLIGHT_K = 5800.0  # black body for the preview's fixed white balance
 
 
@@ -40,6 +42,59 @@ class FixedPattern:
 
     prnu: np.ndarray  # (h, w, bands) float32, relative gain error
     dsnu_e: np.ndarray  # (h, w, bands) float32 [e]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Window:
+    """The part of the sensor that is read out."""
+
+    column: int  # the first one
+    row: int
+    width_px: int
+    height_px: int
+
+    @property
+    def cut(self) -> tuple[slice, slice]:
+        """Rows and columns of the window in an array of the whole sensor."""
+        return slice(self.row, self.row + self.height_px), slice(self.column, self.column + self.width_px)
+
+
+def middle_window(camera: Camera, size_px: tuple[int, int] | None) -> Window:
+    """A window of (width, height) about the sensor's middle, at most the sensor; None: the whole sensor."""
+    width, height = (camera.width_px, camera.height_px) if size_px is None else size_px
+    width, height = min(max(width, 1), camera.width_px), min(max(height, 1), camera.height_px)
+    return Window(
+        column=(camera.width_px - width) // 2, row=(camera.height_px - height) // 2, width_px=width, height_px=height
+    )
+
+
+def window_pattern(pattern: FixedPattern, window: Window) -> FixedPattern:
+    """The fixed pattern of a window, copied, so that the whole sensor's can be let go."""
+    return FixedPattern(prnu=pattern.prnu[window.cut].copy(), dsnu_e=pattern.dsnu_e[window.cut].copy())
+
+
+def dark_current_e_s(camera: Camera, temperature_c: float, doubling_k: float) -> float:
+    r"""Dark current of the sensor at another temperature than the one it is stated for.
+
+    .. math:: I(T) = I(20\,^{\circ}\mathrm{C}) \cdot 2^{(T - 20\,^{\circ}\mathrm{C}) / \Delta T}
+
+    Parameters
+    ----------
+    temperature_c : float
+        Of the sensor. [degrees Celsius]
+    doubling_k : float
+        Rise of temperature that doubles the dark current. [K]
+
+    Returns
+    -------
+    float
+        [e/s]
+
+    References
+    ----------
+    EMVA Standard 1288, release 4.0 Linear, 7 (dark current and its dependence on temperature).
+    """
+    return float(camera.dark_current_e_s * 2.0 ** ((temperature_c - DARK_CURRENT_C) / doubling_k))
 
 
 def full_scale_dn(camera: Camera) -> float:
@@ -98,6 +153,47 @@ def exposure_gain(camera: Camera, light: SunSky) -> Exposing:
     )
 
 
+def exposure_for(camera: Camera, radiance: np.ndarray, share: float) -> Exposing:
+    """Set exposure and gain on a bench so that a steady light reaches a part of full scale in its brightest band.
+
+    The gain is the base gain, at which full well and full scale meet, and the exposure is set to suit, up to
+    LONGEST_EXPOSURE_S; beyond that the gain is raised.
+
+    Parameters
+    ----------
+    radiance : (bands,) ndarray
+        Where it is brightest. [W m-2 sr-1 nm-1]
+    share : float
+        Part of full scale above the black level.
+
+    Returns
+    -------
+    Exposing
+        Its `white_dn` is the expected DN of this light.
+    """
+    per_second = np.array([electrons_per_radiance(camera, band, 1.0) for band in camera.bands])
+    brightest = float(np.max(radiance * per_second))
+    base_gain = camera.full_well_e / full_scale_dn(camera)
+    wanted_s = share * camera.full_well_e / brightest if brightest > 0 else LONGEST_EXPOSURE_S
+    exposure_time_s = min(wanted_s, LONGEST_EXPOSURE_S)
+    electrons = radiance * per_second * exposure_time_s
+    e_per_dn = base_gain * exposure_time_s / wanted_s if brightest > 0 else base_gain
+    return Exposing(
+        e_per_radiance=per_second * exposure_time_s,
+        e_per_dn=e_per_dn,
+        exposure_time_s=exposure_time_s,
+        white_dn=electrons / e_per_dn,
+    )
+
+
+def under_light(exposing: Exposing, radiance: np.ndarray) -> Exposing:
+    """The same setting with every band's response taken times its radiance, for light of one shape in all bands.
+
+    `expose` then takes that shape, (h, w, 1) broadcast to all bands, in the place of a radiance.
+    """
+    return replace(exposing, e_per_radiance=exposing.e_per_radiance * radiance)
+
+
 def _irradiances(camera: Camera, light: SunSky) -> list[tuple[float, float]]:
     return [band_irradiance(light, band) for band in camera.bands]
 
@@ -111,10 +207,13 @@ def fixed_pattern(camera: Camera, rng: np.random.Generator) -> FixedPattern:
     )
 
 
-def vignetting(camera: Camera) -> np.ndarray:
-    """Relative illumination (h, w): 1 on the axis, 1 - `vignetting` at the farthest corner, quadratic in the radius."""
-    x = (np.arange(camera.width_px) + 0.5 - camera.lens.cx_px) ** 2
-    y = (np.arange(camera.height_px) + 0.5 - camera.lens.cy_px) ** 2
+def vignetting(camera: Camera, window: Window | None = None) -> np.ndarray:
+    """Relative illumination (h, w), of a window where there is one: 1 on the axis, 1 - `vignetting` at the sensor's
+    farthest corner, quadratic in the radius.
+    """
+    part = middle_window(camera, None) if window is None else window
+    x = (np.arange(part.column, part.column + part.width_px) + 0.5 - camera.lens.cx_px) ** 2
+    y = (np.arange(part.row, part.row + part.height_px) + 0.5 - camera.lens.cy_px) ** 2
     corner = max(camera.lens.cx_px, camera.width_px - camera.lens.cx_px) ** 2
     corner += max(camera.lens.cy_px, camera.height_px - camera.lens.cy_px) ** 2
     return np.asarray(1 - camera.vignetting * (y[:, None] + x) / corner, np.float32)
@@ -127,8 +226,10 @@ def expose(
     camera_gain_fault: float,
     rng_frame: np.random.Generator,
     pattern: FixedPattern,
+    window: Window | None = None,
+    dark_e_s: float | None = None,
 ) -> np.ndarray:
-    """One picture of the sensor.
+    """One picture of the sensor, or of a window of it.
 
     Parameters
     ----------
@@ -138,6 +239,12 @@ def expose(
         Factor on the DN above black; 1 is no fault.
     rng_frame : numpy.random.Generator
         Of this frame's temporal noise.
+    pattern : FixedPattern
+        Of the pixels that are read out: of the window where there is one.
+    window : Window, optional
+        What `radiance` and `pattern` show of the sensor; absent: all of it.
+    dark_e_s : float, optional
+        Dark current at the sensor's temperature; absent: as the camera's data state it. [e/s]
 
     Returns
     -------
@@ -145,9 +252,9 @@ def expose(
         DN, black level included.
     """
     dn = np.empty(radiance.shape, np.uint16)
-    light = vignetting(camera)
+    light = vignetting(camera, window)
     per_radiance = exposing.e_per_radiance.astype(np.float32)
-    dark = np.float32(camera.dark_current_e_s * exposing.exposure_time_s)
+    dark = np.float32((camera.dark_current_e_s if dark_e_s is None else dark_e_s) * exposing.exposure_time_s)
     read_variance = np.float32(camera.read_noise_e**2)
     full_well = np.float32(camera.full_well_e)
     dn_per_e = np.float32(camera_gain_fault / exposing.e_per_dn)
