@@ -1,102 +1,398 @@
-"""Clause 9.1: what the total station's distances need before they serve as relative true values: formula (12).
+"""Clause 9.1: ranging error of the LiDAR, formulas (9)-(15), and the indicator m_z from a campaign's ranging line.
 
-The group refractive index is IUGG's of 1999; the standard leaves the formula to the instrument's manual.
+The total station's side, formula (12) with IUGG's group index, is in `evaluator.total_station` and offered here too; panels
+are found and ranged in `evaluator.observe.ranging_panels`, records gathered in `evaluator.ranging_observations`.
 """
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import chi2
 
-from evaluator.model import EvaluationError
+from campaign.ranging import RangingLine
+from evaluator.bench_model import PanelRange, RangingResult
+from evaluator.model import CampaignData, EvaluationError
+from evaluator.ranging_observations import (
+    Found,
+    lidar_covariance_m2,
+    observe_scans,
+    panel_ranges,
+    station_of,
+)
+from evaluator.results_model import IndicatorValue, not_measured
+from evaluator.total_station import (
+    StationResult,
+    covariance_m2,
+    eccentricity_covariance_m2,
+    group_refractive_index,
+    meteorological_correction,
+    saturation_pressure_hpa,
+    unknown_stations,
+)
+
+__all__ = [
+    "corrected_range",
+    "evaluate_ranging",
+    "group_refractive_index",
+    "mean_range",
+    "meteorological_correction",
+    "range_correction_constants",
+    "ranging_rmse",
+    "relative_rmse",
+    "saturation_pressure_hpa",
+]
+
+Report = Callable[[str, int, int], None]
+MIN_PANELS = 5  # 9.1.2 a
+UNIT, FORMULA, CLAUSE = "%", "(11)", "9.1"
 
 
-def saturation_pressure_hpa(temperature_c: float) -> float:
-    """Saturation vapour pressure over water by the Magnus formula; 0.3 % from -20 to 40 degrees. [hPa]
+def _checked(formula: str, least: int, *values: ArrayLike) -> list[np.ndarray]:
+    arrays = [np.atleast_1d(np.asarray(v, np.float64)) for v in values]
+    if any(a.ndim != 1 or len(a) != len(arrays[0]) for a in arrays):
+        raise EvaluationError(
+            f"formula {formula}: values are not of one length", got=[a.shape for a in arrays], expected="(n,)"
+        )
+    if len(arrays[0]) < least:
+        raise EvaluationError(f"formula {formula}: too few panels", got=len(arrays[0]), expected=f"at least {least}")
+    if not all(np.isfinite(a).all() for a in arrays):
+        raise EvaluationError(f"formula {formula}: a value is not finite")
+    return arrays
 
-    References
-    ----------
-    WMO-No. 8, Guide to Instruments and Methods of Observation, annex 4.B.
-    """
-    return float(6.112 * np.exp(17.62 * temperature_c / (243.12 + temperature_c)))
 
-
-def group_refractive_index(
-    wavelength_um: float, temperature_c: float, pressure_hpa: float, relative_humidity_percent: float
-) -> float:
-    r"""Group refractive index of air n_g for a carrier wavelength.
-
-    .. math:: N_{gr} = 287.6155 + 4.88660/\lambda^2 + 0.06800/\lambda^4, \quad
-              N = \frac{273.15}{1013.25} N_{gr} \frac{p}{T} - 11.27 \frac{e}{T}, \quad n = 1 + N \cdot 10^{-6}
+def ranging_rmse(measured_m: ArrayLike, reference_m: ArrayLike) -> float:
+    """Root mean square ranging error m_j over the reference panels.
 
     Parameters
     ----------
-    wavelength_um : float
-        Carrier wavelength of the distance meter, 0.3 to 2. [um]
-    temperature_c : float
-        -40 to 60. [deg C]
-    pressure_hpa : float
-        500 to 1100. [hPa]
-    relative_humidity_percent : float
+    measured_m : (n,) array_like
+        Slant range by the LiDAR, L_i. [m]
+    reference_m : (n,) array_like
+        Slant range by the total station, taken as relative true value. [m]
+
+    Returns
+    -------
+    float
+        m_j, the positive root of what is printed with both signs. [m]
+
+    Raises
+    ------
+    EvaluationError
+        Fewer than five panels, unequal lengths, or a value that is not finite.
+
+    References
+    ----------
+    GB/T 41450-2022, 9.1.1, formula (9).
+    """
+    measured, reference = _checked("(9)", MIN_PANELS, measured_m, reference_m)
+    return float(np.sqrt(np.mean((measured - reference) ** 2)))
+
+
+def mean_range(reference_m: ArrayLike) -> float:
+    """Mean range: as printed, the mean of the *true* ranges, although the text calls it the LiDAR's.
+
+    Parameters
+    ----------
+    reference_m : (n,) array_like
+        Slant range by the total station. [m]
+
+    Returns
+    -------
+    float
+        [m]
+
+    Raises
+    ------
+    EvaluationError
+        Fewer than five panels, or a value that is not finite.
+
+    References
+    ----------
+    GB/T 41450-2022, 9.1.1, formula (10).
+    """
+    (reference,) = _checked("(10)", MIN_PANELS, reference_m)
+    return float(np.mean(reference))
+
+
+def relative_rmse(rmse_m: float, mean_range_m: float) -> float:
+    """Relative ranging error m_z = m_j / mean range.
+
+    Parameters
+    ----------
+    rmse_m : float
+        m_j of (9). [m]
+    mean_range_m : float
+        Of (10). [m]
+
+    Returns
+    -------
+    float
         [%]
 
-    Returns
-    -------
-    float
-        Dimensionless; the standard's "in percent" cannot be meant.
-
     Raises
     ------
     EvaluationError
-        A value outside its range.
+        A mean range that is not positive, or a value that is not finite.
 
     References
     ----------
-    IUGG, Resolution 3 of the XXII General Assembly, Birmingham 1999. GB/T 41450-2022, 9.1.2 e.
+    GB/T 41450-2022, 9.1.1, formula (11).
     """
-    for name, value, low, high in (
-        ("wavelength_um", wavelength_um, 0.3, 2.0),
-        ("temperature_c", temperature_c, -40.0, 60.0),
-        ("pressure_hpa", pressure_hpa, 500.0, 1100.0),
-        ("relative_humidity_percent", relative_humidity_percent, 0.0, 100.0),
-    ):
-        if not low <= value <= high:
-            raise EvaluationError(f"{name} is out of range", got=value, expected=f"{low:g} to {high:g}")
-    standard = 287.6155 + 4.88660 / wavelength_um**2 + 0.06800 / wavelength_um**4
-    kelvin = 273.15 + temperature_c
-    vapour = saturation_pressure_hpa(temperature_c) * relative_humidity_percent / 100.0
-    refractivity = 273.15 / 1013.25 * standard * pressure_hpa / kelvin - 11.27 * vapour / kelvin
-    return 1.0 + refractivity * 1e-6
+    if not (np.isfinite(rmse_m) and np.isfinite(mean_range_m) and mean_range_m > 0.0):
+        raise EvaluationError("formula (11): no positive mean range", got=[rmse_m, mean_range_m])
+    return 100.0 * rmse_m / mean_range_m
 
 
-def meteorological_correction(distance_m: float, reference_index: float, group_index: float) -> float:
-    """Correction of a slope distance for the air it was measured in, formula (12): S (n_0 - n_g) / n_g.
+def range_correction_constants(
+    measured_m: ArrayLike, reference_m: ArrayLike, covariance_m2: ArrayLike | None = None
+) -> tuple[float, float, np.ndarray]:
+    r"""Additive and multiplication constant of the LiDAR, from v = -K_2 - R_2 L + (L_true - L) by least squares.
 
     Parameters
     ----------
-    distance_m : float
-        Slope distance as read, S. [m]
-    reference_index : float
-        n_0 of the instrument's design; dimensionless, near 1.0003.
-    group_index : float
-        n_g of the air at work; dimensionless.
+    measured_m : (n,) array_like
+        Range by the LiDAR, L_r. [m]
+    reference_m : (n,) array_like
+        Range by the total station. [m]
+    covariance_m2 : (n, n) array_like, optional
+        Of the differences reference - measured. Without it every panel weighs the same and the covariance comes from the
+        residuals. [m2]
 
     Returns
     -------
-    float
-        Delta D, to be added to S. [m]
+    float, float, (2, 2) ndarray
+        K_2 [m], R_2 (dimensionless; the standard's "in percent" cannot be meant for either), their covariance.
 
     Raises
     ------
     EvaluationError
-        An index that is none of air, or a distance that is not positive.
+        Fewer than five panels, unequal lengths, values not finite, panels all at one distance, or no covariance matrix.
 
     References
     ----------
-    GB/T 41450-2022, 9.1.2 e, formula (12).
+    GB/T 41450-2022, 9.1.2 g-i, formulas (13) and (14).
     """
-    if not (np.isfinite(distance_m) and distance_m > 0.0):
-        raise EvaluationError("formula (12): the distance is not a positive number", got=distance_m)
-    for name, value in (("n_0", reference_index), ("n_g", group_index)):
-        if not 1.0 <= value <= 1.001:
-            raise EvaluationError(
-                f"formula (12): {name} is no refractive index of air", got=value, expected="1 to 1.001"
-            )
-    return distance_m * (reference_index - group_index) / group_index
+    measured, reference = _checked("(13)", MIN_PANELS, measured_m, reference_m)
+    return _constants(measured, reference, covariance_m2)
+
+
+def _constants(
+    measured: np.ndarray, reference: np.ndarray, covariance_m2: ArrayLike | None
+) -> tuple[float, float, np.ndarray]:
+    gain = _gain(measured, covariance_m2)
+    k2, r2 = gain @ (reference - measured)
+    if covariance_m2 is not None:
+        return float(k2), float(r2), gain @ np.asarray(covariance_m2) @ gain.T
+    residual = reference - measured - k2 - r2 * measured
+    return float(k2), float(r2), gain @ gain.T * float(residual @ residual) / (len(measured) - 2)
+
+
+def _gain(measured: np.ndarray, covariance_m2: ArrayLike | None) -> np.ndarray:
+    """(2, n) that takes differences to K_2, R_2."""
+    count, middle = len(measured), float(np.mean(measured))
+    if np.ptp(measured) < 1.0:
+        raise EvaluationError(
+            "formula (13): the panels stand at one distance", got=f"{np.ptp(measured):.2f} m", expected="1 m and more"
+        )
+    design = np.column_stack([np.ones(count), measured - middle])  # about the middle: well conditioned
+    covariance = np.eye(count) if covariance_m2 is None else np.asarray(covariance_m2, np.float64)
+    try:
+        if covariance.shape != (count, count) or not np.isfinite(covariance).all():
+            raise np.linalg.LinAlgError
+        lower = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        raise EvaluationError("formula (13): no covariance matrix of the differences", got=covariance.shape) from None
+    gain = np.linalg.pinv(np.linalg.solve(lower, design)) @ np.linalg.inv(lower)
+    gain[0] -= gain[1] * middle
+    return np.asarray(gain)
+
+
+def corrected_range(measured_m: ArrayLike, additive_constant_m: float, multiplication_constant: float) -> np.ndarray:
+    """Corrected range L_Q = L + K_2 + R_2 L.
+
+    Parameters
+    ----------
+    measured_m : (n,) array_like
+        Range by the LiDAR. [m]
+    additive_constant_m : float
+        K_2. [m]
+    multiplication_constant : float
+        R_2, dimensionless.
+
+    Returns
+    -------
+    (n,) ndarray
+        [m]
+
+    References
+    ----------
+    GB/T 41450-2022, 9.1.2 j, formula (15).
+    """
+    measured = np.asarray(measured_m, np.float64)
+    return measured + additive_constant_m + multiplication_constant * measured
+
+
+def evaluate_ranging(data: CampaignData, progress: Report) -> RangingResult:
+    """K_2, R_2 and m_z after correction from ranging/; whatever is missing becomes the indicator's reason.
+
+    The indicator is 9.1.2 k's: corrected ranges against the station that serves "reference"; K_2 and R_2 come from the one
+    that serves "correction".
+    """
+    found = Found()
+    try:
+        return _evaluate(data, progress, found)
+    except EvaluationError as error:
+        return RangingResult(indicator=_without(str(error), found))
+
+
+def _without(reason: str, found: Found, **companions: object) -> IndicatorValue:
+    return not_measured(UNIT, FORMULA, CLAUSE, reason, **_remarks(found), **companions)
+
+
+def _remarks(found: Found) -> dict[str, object]:
+    out: dict[str, object] = {"scans": found.scans}
+    if found.duration_s:
+        out["scan_duration_s"] = max(found.duration_s)
+    if found.left_out:
+        out["left_out"] = found.left_out
+    if found.notes:
+        out["notes"] = found.notes
+    return out
+
+
+def _evaluate(data: CampaignData, progress: Report, found: Found) -> RangingResult:
+    line = data.ranging.line
+    if line is None:
+        raise EvaluationError("no readable ranging/line.json")
+    found.left_out += unknown_stations(line, data.ranging.readings)
+    correction, reference = (station_of(data, line, serves, found) for serves in ("correction", "reference"))
+    if not data.ranging.scans:
+        raise EvaluationError("no scan of the ranging line", expected="ranging/scans/scan_01.laz ...")
+    observe_scans(data, line, correction, reference, found, progress)
+    panels, not_used = panel_ranges(line, correction, reference, found)
+    usable = [p for p in panels if p.correction_m is not None and p.reference_m is not None]
+    if len(usable) < MIN_PANELS:
+        missing = "; ".join(f"{name}: {why}" for name, why in not_used.items())
+        reason = f"too few panels of the ranging line are measured; got {len(usable)}; expected at least {MIN_PANELS}"
+        return RangingResult(
+            indicator=_without(f"{reason} ({missing})" if missing else reason, found, panels=_rows(panels)),
+            panels=tuple(panels),
+            not_used=not_used,
+        )
+    try:
+        return _adjusted(line, correction, reference, panels, usable, not_used, found)
+    except EvaluationError as error:
+        return RangingResult(
+            indicator=_without(str(error), found, panels=_rows(panels)), panels=tuple(panels), not_used=not_used
+        )
+
+
+def _adjusted(
+    line: RangingLine,
+    correction: StationResult,
+    reference: StationResult,
+    panels: list[PanelRange],
+    usable: list[PanelRange],
+    not_used: dict[str, str],
+    found: Found,
+) -> RangingResult:
+    """(13)-(15) and (9)-(11) with the covariance of all that enters."""
+    names = [p.panel for p in usable]
+    measured = np.array([p.lidar_m for p in usable])
+    first, truth = (np.array([getattr(p, k) for p in usable], float) for k in ("correction_m", "reference_m"))
+    by_lidar, scale, freedom = lidar_covariance_m2(names, found)
+    by_first, by_second = covariance_m2(correction, names), covariance_m2(reference, names)
+    common = eccentricity_covariance_m2(line, reference, names)
+    differences = by_lidar + by_first + common
+    k2, r2, covariance = range_correction_constants(measured, first, differences)
+    corrected = corrected_range(measured, k2, r2)
+    mean_m = mean_range(truth)
+    before_m, after_m = ranging_rmse(measured, truth), ranging_rmse(corrected, truth)
+    m_z = relative_rmse(after_m, mean_m)
+    # error of the corrected range minus the reference: (I - M) lidar + M first + (M - I) common - second
+    design = np.column_stack([np.ones(len(measured)), measured])
+    through = design @ _gain(measured, differences)
+    rest = np.eye(len(measured)) - through
+    after = rest @ (by_lidar + common) @ rest.T + through @ by_first @ through.T + by_second
+    if correction.station.name == reference.station.name:  # the same readings twice
+        after -= through @ by_first + by_first @ through.T
+    std_m = _rmse_std(corrected - truth, after)
+    std = relative_rmse(std_m, mean_m)
+    residual = first - corrected
+    statistic = float(residual @ np.linalg.solve(differences, residual))
+    plain = range_correction_constants(measured, first)
+    held_out = _held_out(measured, first, truth, differences)
+    k2_std, r2_std = np.sqrt(np.diag(covariance))
+    rows = {p.panel: float(value) for p, value in zip(usable, corrected, strict=True)}
+    panels = [
+        PanelRange(**{**vars(p), "corrected_m": rows.get(p.panel, float(corrected_range(p.lidar_m, k2, r2)))})
+        for p in panels
+    ]
+    indicator = IndicatorValue(
+        value=m_z,
+        unit=UNIT,
+        formula=FORMULA,
+        clause=CLAUSE,
+        sample_size=len(usable),
+        std=std,
+        low_95=max(0.0, m_z - 1.96 * std),
+        high_95=m_z + 1.96 * std,
+        method="propagation of the covariance of the corrected ranges and relative true values (scatter of scans and "
+        "readings, certificates, eccentricity, K2 and R2) to m_j, normal distribution",
+        companions={
+            "additive_constant_m": k2,
+            "additive_constant_std_m": float(k2_std),
+            "multiplication_constant": r2,
+            "multiplication_constant_std": float(r2_std),
+            "correlation": float(covariance[0, 1] / (k2_std * r2_std)),
+            "unweighted_constants": [plain[0], plain[1]],
+            "rmse_m": after_m,
+            "mean_range_m": mean_m,
+            "rmse_before_m": before_m,
+            "relative_rmse_before_percent": relative_rmse(before_m, mean_m),
+            "expected_rmse_m": float(np.sqrt(np.trace(after) / len(usable))),
+            "leave_one_panel_out_rmse_m": held_out,
+            "leave_one_panel_out_percent": relative_rmse(held_out, mean_m),
+            "chi_square": statistic,
+            "chi_square_freedom": len(usable) - 2,
+            "chi_square_p": float(chi2.sf(statistic, len(usable) - 2)),
+            "lidar_scatter_over_fit": float(np.sqrt(scale)) if freedom >= 4 else None,
+            "station_std_m": {s: r.pooled_std_m for s, r in (("correction", correction), ("reference", reference))},
+            "stations": {"correction": correction.station.name, "reference": reference.station.name},
+            "panels": _rows(panels),
+            **({"not_used": not_used} if not_used else {}),
+            **_remarks(found),
+        },
+    )
+    return RangingResult(
+        indicator=indicator,
+        panels=tuple(panels),
+        additive_constant_m=k2,
+        multiplication_constant=r2,
+        covariance=covariance,
+        not_used=not_used,
+    )
+
+
+def _rmse_std(error_m: np.ndarray, covariance: np.ndarray) -> float:
+    """Standard deviation of a root mean square of n errors of known covariance. [m]"""
+    count, square = len(error_m), float(np.mean(error_m**2))
+    variance = (4.0 * error_m @ covariance @ error_m + 2.0 * np.trace(covariance @ covariance)) / count**2
+    # of the root: linear where the error stands clear of zero, else as wide as the errors themselves
+    return float(min(np.sqrt(variance) / (2.0 * np.sqrt(max(square, 1e-30))), np.sqrt(np.trace(covariance) / count)))
+
+
+def _held_out(measured: np.ndarray, first: np.ndarray, truth: np.ndarray, covariance: np.ndarray) -> float:
+    """Root mean square of each panel's error after correction by constants from all other panels. [m]"""
+    errors = []
+    for k in range(len(measured)):
+        rest = np.arange(len(measured)) != k
+        k2, r2, _ = _constants(measured[rest], first[rest], covariance[np.ix_(rest, rest)])
+        errors.append(float(corrected_range(measured[k], k2, r2)) - truth[k])
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def _rows(panels: list[PanelRange]) -> list[dict[str, object]]:
+    """Panels as plain values."""
+    return [vars(p).copy() for p in panels]
