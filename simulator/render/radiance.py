@@ -163,7 +163,7 @@ def _fill_boxes(
 def _view(camera: Camera, pose: FramePose) -> _View:
     view = _View(
         camera=camera,
-        steps=_undistort_steps(camera),
+        steps=undistort_steps(camera),
         position=mi.Point3f(*map(float, pose.position_world_m)),
         velocity=mi.Vector3f(*map(float, pose.velocity_world_m_s)),
         axes=[mi.Vector3f(*map(float, column)) for column in pose.world_from_camera.T],
@@ -199,7 +199,7 @@ def _edges(job: _Job, number: np.ndarray, wanted: np.ndarray, tile: int) -> np.n
 # --------------------------------------------------------------------------------------------------------- camera ray
 
 
-def _undistort_steps(camera: Camera) -> int:
+def undistort_steps(camera: Camera) -> int:
     """Steps of the fixed point that bring the image's corners within 1e-5 px."""
     lens = camera.lens
     u, v = np.meshgrid([0.0, 0.5 * camera.width_px, camera.width_px], [0.0, 0.5 * camera.height_px, camera.height_px])
@@ -215,22 +215,29 @@ def _undistort_steps(camera: Camera) -> int:
     return steps
 
 
-def _camera_ray(view: _View, pixel: Any, offset: tuple[Any, Any], share: Any) -> Any:
-    """Ray through a place of the image; `share` in [0, 1) is the part of the exposure that has passed."""
-    camera, lens = view.camera, view.camera.lens
-    across = camera.width_px + 2 * view.halo
-    column, row = mi.Int32(pixel % across) - view.halo, mi.Int32(pixel // across) - view.halo
+def undistorted(camera: Camera, steps: int, column: Any, row: Any, offset: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Normalised coordinates x = X/Z, y = Y/Z of a place `offset` from a pixel's centre, the lens's distortion taken off."""
+    lens = camera.lens
     # Whole pixels and fractions apart: the difference to the principal point keeps its digits.
     whole_x, whole_y = int(np.floor(lens.cx_px)), int(np.floor(lens.cy_px))
     xd = (mi.Float(column - whole_x) + (0.5 - (lens.cx_px - whole_x) + offset[0])) / lens.fx_px
     yd = (mi.Float(row - whole_y) + (0.5 - (lens.cy_px - whole_y) + offset[1])) / lens.fy_px
     x, y = xd, yd
-    for _ in range(view.steps):
+    for _ in range(steps):
         r2 = x * x + y * y
         radial = dr.rcp(1 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3)))
         tx = 2 * lens.p1 * x * y + lens.p2 * (r2 + 2 * x * x)
         ty = lens.p1 * (r2 + 2 * y * y) + 2 * lens.p2 * x * y
         x, y = (xd - tx) * radial, (yd - ty) * radial
+    return x, y
+
+
+def _camera_ray(view: _View, pixel: Any, offset: tuple[Any, Any], share: Any) -> Any:
+    """Ray through a place of the image; `share` in [0, 1) is the part of the exposure that has passed."""
+    camera = view.camera
+    across = camera.width_px + 2 * view.halo
+    column, row = mi.Int32(pixel % across) - view.halo, mi.Int32(pixel // across) - view.halo
+    x, y = undistorted(camera, view.steps, column, row, offset)
     t = (share - 0.5) * camera.exposure_time_s
     if camera.shutter == "rolling":
         t += ((mi.Float(row) + 0.5) / camera.height_px - 0.5) * camera.readout_time_s

@@ -1,0 +1,223 @@
+"""The geometric bench (9.2.2): pictures of one chessboard at four distances or more, with the camera of the flight.
+
+Writes bench/chessboard/board.json, log.csv, b_001.tif ... (full frames, 16 bit, all bands; a JPEG preview of each) and
+truth/board_corners.npz, whose arrays are (n images, m inner corners, no pickle):
+
+    image           (n,) text, path inside the campaign folder
+    distance_m      (n,) along the optical axis to the board's centre
+    corner          (m, 2) int64, column and row of each inner corner, row by row
+    corner_px       (n, m, 2) float64, true pixel of every inner corner, distorted; the image's top left corner is (0, 0)
+    rotation        (n, 3, 3) camera_from_board; the board's frame is BoardSheet's
+    translation_m   (n, 3) of inner corner (0, 0) in the camera frame
+
+The camera is that of the flight: lens (breathing with the focus setting), point spread, fixed pattern, noise. Exposure is set
+at each distance, as a person would, so that the brightest white of its pictures reaches `exposure_share` of full scale.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from campaign import images
+from campaign.atomic import complete_file
+from campaign.bench import BoardExposure, BoardSheet, write_board, write_board_log
+from campaign.config import Camera, Config, Lens
+from campaign.folder import CampaignFolder
+from scenes.chessboard import LAMP_CAMERA_M, Board, board_of, board_scene, lamp_intensity
+from simulator import sensor
+from simulator.bench.placements import (
+    Placement,
+    bench_f_number,
+    bench_focus_m,
+    bench_lens,
+    plan_placements,
+    project_board,
+)
+from simulator.randomness import Stream, generator
+from simulator.render.board import BoardView, render_board
+from simulator.render.sampling import frame_words
+from simulator.render.scene import load_scene
+
+Report = Callable[[str, int, int], None]
+INTERVAL_S = 20.0  # between pictures
+WALL_BEHIND_M = 1.5  # the wall stands this far behind the farthest position
+MAX_EXPOSURE_S = 2.0  # a longer one is replaced by gain
+FLATNESS_M = 0.0  # the simulated board is a plane
+WAITING_FRAMES = 2  # rendered pictures that may wait for noise and file: bounds the memory
+_NOISE, _SAMPLES = 1, 2  # keys of the stream, after the plan's
+
+
+def simulate_chessboard(
+    config: Config, place: CampaignFolder, start_gps_s: float, progress: Report
+) -> tuple[Lens, float]:
+    """Write the bench's folder and its truth.
+
+    Parameters
+    ----------
+    start_gps_s : float
+        Adjusted standard GPS time of the first picture. [s]
+
+    Returns
+    -------
+    lens : Lens
+        True interior orientation at the bench's focus.
+    focus_distance_m : float
+        Setting of the lens. [m]
+    """
+    settings = config.bench.chessboard
+    board, plan, lens = board_of(settings), plan_placements(config), bench_lens(config)
+    camera = config.camera.model_copy(update={"lens": lens, "f_number": bench_f_number(config)})
+    exposing = {p.distance_m: _exposing(config, camera, board, plan, p.distance_m) for p in plan}
+    place.chessboard.mkdir(parents=True)
+    place.truth.mkdir(exist_ok=True)
+    write_board(
+        place.chessboard / "board.json",
+        BoardSheet(
+            inner_columns=board.columns - 1,
+            inner_rows=board.rows - 1,
+            square_m=board.square_m,
+            width_m=board.width_m,
+            height_m=board.height_m,
+            flatness_m=FLATNESS_M,
+            material="printed, matt, on a plane plate",
+        ),
+    )
+    pattern = sensor.fixed_pattern(config.camera, generator(config.seed, Stream.CAMERA_FIXED_PATTERN))
+    scene = load_scene(board_scene(board, settings))
+    intensity = np.array([lamp_intensity(band) for band in camera.bands], np.float32)
+    rows = []
+    waiting: deque[Future[None]] = deque()
+    progress("chessboard", 0, len(plan))
+    with ThreadPoolExecutor(1) as writer:
+        for k, placement in enumerate(plan):
+            view = board_view(config, camera, placement)
+            words = frame_words(config.seed, int(Stream.CHESSBOARD), (_SAMPLES, k))
+            grey = render_board(scene, board, view, settings.samples, words)
+            name, time = f"b_{k + 1:03d}.tif", start_gps_s + INTERVAL_S * k
+            used = exposing[placement.distance_m]
+            noise = generator(config.seed, Stream.CHESSBOARD, _NOISE, k)
+            while len(waiting) >= WAITING_FRAMES:
+                waiting.popleft().result()
+            tags = _tags(config, camera, time, used.exposure_time_s)
+            path = place.chessboard / name
+            waiting.append(writer.submit(_develop, config, camera, used, pattern, grey, intensity, noise, path, tags))
+            rows.append(
+                BoardExposure(
+                    image=name,
+                    gps_time_s=time,
+                    distance_m=placement.distance_m,
+                    focus_distance_m=view.focus_distance_m,
+                    f_number=camera.f_number,
+                    exposure_time_s=used.exposure_time_s,
+                    gain_e_per_dn=used.e_per_dn,
+                )
+            )
+            progress("chessboard", k + 1, len(plan))
+        for future in waiting:
+            future.result()
+    write_board_log(place.chessboard / "log.csv", rows)
+    _write_corners(place, lens, board, plan, [row.image for row in rows])
+    return lens, bench_focus_m(config)
+
+
+def board_view(config: Config, camera: Camera, placement: Placement) -> BoardView:
+    """What the renderer needs of one picture; `camera` carries the bench's lens and f-number."""
+    return BoardView(
+        camera=camera,
+        focus_distance_m=bench_focus_m(config),
+        aperture_m=config.camera.nominal_focal_length_mm / 1000 / camera.f_number,
+        wall_distance_m=max(config.bench.chessboard.distances_m) + WALL_BEHIND_M,
+        rotation=placement.rotation,
+        translation_m=placement.translation_m,
+    )
+
+
+def board_irradiance(placement: Placement, point_m: np.ndarray) -> np.ndarray:
+    """Irradiance of points (n, 2) of the board by a lamp of unit radiant intensity: cos(theta)/d^2. (n,) [m-2]"""
+    point = point_m @ placement.rotation[:, :2].T + placement.translation_m
+    to_lamp = LAMP_CAMERA_M - point
+    distance = np.linalg.norm(to_lamp, axis=1)
+    return np.maximum(to_lamp @ -placement.rotation[:, 2], 0) / distance**3
+
+
+def _exposing(
+    config: Config, camera: Camera, board: Board, plan: tuple[Placement, ...], distance_m: float
+) -> sensor.Exposing:
+    """Exposure and gain of one position: the longest of all bands, white at `exposure_share` of full scale in DN."""
+    settings = config.bench.chessboard
+    x, y = np.linspace(board.low_m, board.high_m, 15).T
+    points = np.stack([c.ravel() for c in np.meshgrid(x, y)], axis=-1)
+    brightest = max(board_irradiance(p, points).max() for p in plan if p.distance_m == distance_m)
+    white = settings.white_reflectance / np.pi * brightest
+    focal_m, focus_m = camera.nominal_focal_length_mm / 1000, bench_focus_m(config)
+    nearer = ((focus_m - focal_m) / focus_m) ** 2  # the sensor stands farther from the lens than for infinity
+    per_second = nearer * np.array([sensor.electrons_per_radiance(camera, band, 1.0) for band in camera.bands])
+    radiance = white * np.array([lamp_intensity(band) for band in camera.bands])
+    fault = config.faults.camera_gain  # a person sets what the camera shows
+    wanted_e = settings.exposure_share * camera.full_well_e / max(1.0, fault)
+    seconds = min(MAX_EXPOSURE_S, wanted_e / float(np.max(per_second * radiance)))
+    electrons = per_second * radiance * seconds
+    e_per_dn = fault * float(np.max(electrons)) / (settings.exposure_share * sensor.full_scale_dn(camera))
+    return sensor.Exposing(
+        e_per_radiance=per_second * seconds,
+        e_per_dn=e_per_dn,
+        exposure_time_s=seconds,
+        white_dn=electrons / e_per_dn,
+    )
+
+
+def _develop(
+    config: Config,
+    camera: Camera,
+    exposing: sensor.Exposing,
+    pattern: sensor.FixedPattern,
+    grey: np.ndarray,
+    intensity: np.ndarray,
+    noise: np.random.Generator,
+    path: Path,
+    tags: images.ImageTags,
+) -> None:
+    radiance = grey[:, :, None] * intensity
+    dn = sensor.expose(radiance, camera, exposing, config.faults.camera_gain, noise, pattern)
+    images.write_image(path, dn, tags)
+    images.write_preview(path.with_suffix(".jpg"), sensor.preview(dn, camera), tags)
+
+
+def _tags(config: Config, camera: Camera, gps_time_s: float, exposure_time_s: float) -> images.ImageTags:
+    site = config.site
+    return images.ImageTags(
+        camera_name=camera.name,
+        manufacturer=camera.manufacturer,
+        gps_time_s=gps_time_s,
+        exposure_time_s=exposure_time_s,
+        f_number=camera.f_number,
+        focal_length_mm=camera.nominal_focal_length_mm,
+        pixel_size_um=camera.pixel_size_um,
+        black_level_dn=camera.black_level_dn,
+        bit_depth=camera.bit_depth,
+        latitude_deg=site.latitude_deg,
+        longitude_deg=site.longitude_deg,
+        ellipsoid_height_m=site.ellipsoid_height_m,
+        roll_deg=0.0,
+        pitch_deg=0.0,
+        heading_deg=0.0,
+        bands=tuple(band.name for band in camera.bands),
+    )
+
+
+def _write_corners(
+    place: CampaignFolder, lens: Lens, board: Board, plan: tuple[Placement, ...], names: list[str]
+) -> None:
+    arrays = {
+        "image": np.array([f"bench/chessboard/{name}" for name in names]),
+        "distance_m": np.array([p.distance_m for p in plan]),
+        "corner": board.corner_index(),
+        "corner_px": np.stack([project_board(lens, p, board.corners_m()) for p in plan]),
+        "rotation": np.stack([p.rotation for p in plan]),
+        "translation_m": np.stack([p.translation_m for p in plan]),
+    }
+    with complete_file(place.truth / "board_corners.npz") as work:
+        np.savez(work, allow_pickle=False, **arrays)
