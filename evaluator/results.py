@@ -168,6 +168,14 @@ def plain(value: object, root: Path | None = None) -> Any:
     raise EvaluationError(f"{type(value).__name__} cannot be written to results.json", got=value)
 
 
+def shown_decimals(value: float | None, unit: str) -> int:
+    """Decimals with which an indicator is shown to people: 3 for pixels, 2 for the others, more where that left one digit."""
+    usual = 3 if unit == "pixel" else 2
+    if value is None or not math.isfinite(value) or value == 0.0:
+        return usual
+    return min(max(usual, 1 - math.floor(math.log10(abs(value)))), 6)
+
+
 def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
     """Correlations of a covariance matrix (n, n); a parameter without variance has correlation 0 with all others."""
     std = np.sqrt(np.diag(covariance))

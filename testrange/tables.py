@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from evaluator.c10_1_grading import GRADE_ZH, GROUPS, INDICATORS, Grade, group_grades
-from evaluator.results import Evaluation
+from evaluator.results import Evaluation, shown_decimals
 from evaluator.score import Score, decimals
 
 WIDTH = 100
@@ -33,7 +33,7 @@ def console(stream: TextIO | None = None) -> Console:
 
 
 def _figure(value: float, unit: str) -> str:
-    return f"{value:.3f} px" if unit == "pixel" else f"{value:.2f} %"
+    return f"{value:.{shown_decimals(value, unit)}f} {'px' if unit == 'pixel' else '%'}"
 
 
 def print_indicators(evaluation: Evaluation, out: Console) -> None:

@@ -12,7 +12,7 @@ from evaluator.results import correlation_matrix
 
 _GREY = "#6b7280"
 _BAND_COLOURS = {"red": "#c0392b", "green": "#2e8b57", "blue": "#1b6ca8"}
-_VECTORS = 2500  # drawn at most; the rest is in the root mean squares
+_VECTORS = 900  # drawn at most; all are in the means and in the scatter
 _MAP_STEPS = 60
 
 
@@ -24,43 +24,51 @@ def _band_colour(name: str, index: int) -> str:
     return _BAND_COLOURS.get(name.lower(), _colour(index))
 
 
-def _draw_series(axes: Axes, series: SphereSeries, trend: bool) -> None:
-    """Each band relative to its own mean, with one standard deviation either way. [%]"""
+def _draw_series(axes: Axes, series: SphereSeries, band: int, trend: bool) -> None:
+    """One band relative to its mean, with one standard deviation either way. [%]"""
     minutes = np.asarray(series.time_s) / 60.0
-    for band, name in enumerate(series.bands):
-        values = np.asarray(series.dn)[:, band]
-        mean = float(values.mean())
-        relative = 100.0 * (values / mean - 1.0)
-        spread = float(relative.std(ddof=1)) if relative.size > 1 else 0.0
-        colour = _band_colour(name, band)
-        axes.axhspan(-spread, spread, color=colour, alpha=0.08, lw=0)
-        label = f"{name}: mean {mean:.1f} DN, SD {spread:.3f} %"
-        axes.plot(minutes, relative, "o-", color=colour, ms=3, lw=0.8, alpha=0.9, label=label)
-        if trend and minutes.size > 2:
-            slope, offset = np.polyfit(minutes, relative, 1)
-            axes.plot(minutes, slope * minutes + offset, "--", color=colour, lw=1.1)
-            axes.plot([], [], "--", color=colour, lw=1.1, label=f"trend {60.0 * slope:+.3f} %/h")
+    values = np.asarray(series.dn)[:, band]
+    mean = float(values.mean())
+    relative = 100.0 * (values / mean - 1.0)
+    spread = float(relative.std(ddof=1)) if relative.size > 1 else 0.0
+    colour = _band_colour(series.bands[band], band)
+    axes.axhspan(-spread, spread, color=colour, alpha=0.12, lw=0)
     axes.axhline(0.0, color=_GREY, lw=0.8)
-    axes.set(xlabel="time since the first image [min]", ylabel="DN − mean [% of mean]")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
+    axes.plot(minutes, relative, "o-", color=colour, ms=2.5, lw=0.7)
+    title = f"{series.bands[band]}: {mean:.1f} DN, SD {spread:.3f} %"
+    if trend and minutes.size > 2:
+        slope, offset = np.polyfit(minutes, relative, 1)
+        axes.plot(minutes, slope * minutes + offset, "--", color=INK, lw=1.0)
+        title += f"\ntrend {60.0 * slope:+.3f} %/h"
+    axes.set_title(title, fontsize=8)
+    axes.tick_params(labelsize=7)
 
 
 def sphere_series(result: SphereResult) -> Figure | None:
-    """Both series at the integrating sphere over time, and the lamp's trend in the longer one."""
+    """Both series at the integrating sphere over time, a row for each band, and the lamp's trend in the longer one."""
     shown = [
         (series, title, trend)
         for series, title, trend in (
-            (result.stability_series, "Stability 稳定性 (8.2.2.1)", True),
-            (result.repeatability_series, "Repeatability 重复性 (8.2.2.2)", False),
+            (result.stability_series, "Stability 稳定性", True),
+            (result.repeatability_series, "Repeatability 重复性", False),
         )
         if series is not None and np.size(series.dn)
     ]
     if not shown:
         return None
-    drawn = figure(5.3, 3.6 * len(shown))
-    for axes, (series, title, trend) in zip(np.atleast_1d(drawn.subplots(len(shown), 1)), shown):
-        _draw_series(axes, series, trend)
-        axes.set_title(title)
+    rows = max(len(series.bands) for series, _, _ in shown)
+    drawn = figure(5.3, 0.5 + 1.7 * rows)
+    columns = drawn.subfigures(1, len(shown), squeeze=False)[0]
+    for column, (series, title, trend) in zip(columns, shown):
+        column.suptitle(title, fontsize=10)
+        grid = column.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+        for band, axes in enumerate(grid):
+            if band < len(series.bands):
+                _draw_series(axes, series, band, trend)
+            else:
+                axes.set_axis_off()
+        grid[len(series.bands) - 1].set_xlabel("time [min]", fontsize=8)
+        grid[len(series.bands) // 2].set_ylabel("DN − mean [% of mean]", fontsize=8)
     return drawn
 
 
@@ -87,6 +95,18 @@ def _size(result: ChessboardResult) -> tuple[float, float]:
     return float(width), float(height)
 
 
+def _cell_means(observed: np.ndarray, shift: np.ndarray, size: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Mean residual of each cell of the field, (m, 2), at the cell's middle: what is left that noise does not explain."""
+    shape = np.array([16, max(1, round(16 * size[1] / size[0]))])
+    cell = np.clip((observed / size * shape).astype(int), 0, shape - 1)
+    index = cell[:, 1] * shape[0] + cell[:, 0]
+    count = np.bincount(index, minlength=int(shape.prod()))
+    total = np.stack([np.bincount(index, s, minlength=int(shape.prod())) for s in shift.T], axis=1)
+    seen = count > 0
+    centre = np.stack([np.arange(count.size) % shape[0], np.arange(count.size) // shape[0]], axis=1) + 0.5
+    return (centre / shape * size)[seen], total[seen] / count[seen, None]
+
+
 def board_residuals(result: ChessboardResult) -> Figure | None:
     """Residual vectors of the corners over the field, and their scatter about zero; one colour a distance."""
     if not result.images:
@@ -95,23 +115,16 @@ def board_residuals(result: ChessboardResult) -> Figure | None:
     size = _size(result)
     keep = np.linspace(0, len(observed) - 1, min(len(observed), _VECTORS)).astype(int)
     length = np.hypot(*shift.T)
-    median = max(float(np.median(length)), 1e-9)
-    magnify = 0.025 * size[0] / median
+    magnify = 0.02 * size[0] / max(float(np.median(length)), 1e-9)
     drawn = figure(5.3, 6.6)
     upper, lower = drawn.subplots(2, 1, height_ratios=(1, 1))
     _frame(upper, size)
     colours = np.array([_colour(p) for p in range(int(position.max()) + 1)])[position]
-    upper.quiver(
-        *observed[keep].T,
-        *(shift[keep] * magnify).T,
-        color=colours[keep],
-        angles="xy",
-        scale_units="xy",
-        scale=1,
-        width=0.0022,
-    )
-    rest = f", {len(keep)} of {len(observed)} corners" if len(keep) < len(observed) else f", {len(observed)} corners"
-    upper.set_title(f"Residual vectors 残差矢量 × {magnify:.0f}{rest}", fontsize=9)
+    arrows = {"angles": "xy", "scale_units": "xy", "scale": 1}
+    upper.quiver(*observed[keep].T, *(shift[keep] * magnify).T, color=colours[keep], alpha=0.45, width=0.0016, **arrows)
+    centre, mean = _cell_means(observed, shift, size)
+    upper.quiver(*centre.T, *(mean * magnify).T, color=INK, width=0.004, **arrows)
+    upper.set_title(f"Residual vectors 残差矢量 × {magnify:.0f}; black: means of cells", fontsize=9)
     reach = 1.1 * max(float(np.quantile(length, 0.999)), 1e-9)
     lower.axhline(0.0, color=_GREY, lw=0.8)
     lower.axvline(0.0, color=_GREY, lw=0.8)
@@ -133,7 +146,7 @@ def coverage(result: ChessboardResult) -> Figure | None:
     size = _size(result) if result.images or result.image_size_px else (float(counts.shape[2]), float(counts.shape[1]))
     columns = 2 if len(counts) > 1 else 1
     rows = -(-len(counts) // columns)
-    drawn = figure(5.3, 0.5 + rows * (5.3 / columns) * size[1] / size[0] * 1.15)
+    drawn = figure(5.3, 0.5 + rows * (0.35 + 4.1 / columns * size[1] / size[0]))
     top = max(float(counts.max()), 1.0)
     grid = np.atleast_1d(drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)).ravel()
     for k, axes in enumerate(grid):
@@ -167,7 +180,7 @@ def distortion_map(result: ChessboardResult) -> Figure | None:
     ideal = undistort(lens, uv) * (lens.fx_px, lens.fy_px) + (lens.cx_px, lens.cy_px)
     shift = (uv - ideal).reshape(*u.shape, 2)
     amount = np.hypot(shift[..., 0], shift[..., 1])
-    drawn = figure(5.3, 0.9 + 4.4 * height / width)
+    drawn = figure(5.3, 0.8 + 3.7 * height / width)
     axes = drawn.add_subplot()
     picture = axes.pcolormesh(u, v, amount, shading="nearest", cmap="viridis", rasterized=True)
     if np.isfinite(amount).all() and np.ptp(amount) > 0.0:
@@ -250,8 +263,8 @@ def ranging_errors(result: RangingResult) -> Figure | None:
     for p, x, y in zip(known, truth, after):
         if np.isfinite(y):
             lower.annotate(p.panel, (x, y), xytext=(5, 4), textcoords="offset points", fontsize=7, color=_GREY)
-    lower.set_title("After the correction 改正后; bars: standard error of the mean of the scans")
+    lower.set_title("After the correction 改正后")
     for axes in (upper, lower):
-        axes.set_ylabel("LiDAR − total station [mm]")
+        axes.set_ylabel("difference [mm]")
     lower.set_xlabel("distance [m]")
     return drawn

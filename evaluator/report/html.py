@@ -1,7 +1,7 @@
 """The page: what stands in it. Its form is template.html.j2; drawings come from `plots` and `photos`."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from evaluator.camera_model import LENS_NAMES, lens_vector
 from evaluator.report import bench_plots, photos, plots
 from evaluator.report.style import GRADE_COLOURS, font_uri, jpeg_uri, style, svg_uri
 from evaluator.report.words import HOW
-from evaluator.results import Evaluation, build_results, plain
+from evaluator.results import Evaluation, build_results, plain, shown_decimals
 from evaluator.score import Score, decimals
 
 _FONT_PLACE = "/*font*/"
@@ -133,7 +133,7 @@ def _bench_pictures(evaluation: Evaluation) -> list[Picture]:
         caption = "Mean of the nine central pixels of each image. Shaded: ±1 SD. Dashed: the lamp's trend."
         out.append(_picture("Integrating sphere 积分球", caption, lambda: bench_plots.sphere_series(sphere)))
     if board is not None and (board.images or board.lens is not None):
-        caption = "Corner as found to corner as projected, formula (19)."
+        caption = "Corner as found to corner as projected, formula (19). A pattern in the means would be distortion left over."
         out.append(_picture("Chessboard residuals 重投影残差", caption, lambda: bench_plots.board_residuals(board)))
         caption = "9.2.2 d asks for the whole field at each distance."
         out.append(_picture("Coverage 视场覆盖", caption, lambda: bench_plots.coverage(board)))
@@ -144,7 +144,10 @@ def _bench_pictures(evaluation: Evaluation) -> list[Picture]:
         caption = "Colour: distance of the board."
         out.append(_picture("Images of the chessboard 各影像误差", caption, lambda: bench_plots.image_errors(board)))
     if ranging is not None and ranging.panels:
-        caption = "True = measured + K₂ + R₂ · measured, formula (13); all distances from the LiDAR's centre."
+        caption = (
+            "True = measured + K₂ + R₂ · measured, formula (13); LiDAR minus total station, from the LiDAR's centre. "
+            "Bars: standard error of the mean of the scans."
+        )
         out.append(_picture("Ranging line 测距误差", caption, lambda: bench_plots.ranging_errors(ranging)))
     return out
 
@@ -209,7 +212,7 @@ def _indicator_cards(evaluation: Evaluation, results: Mapping[str, Any]) -> list
                 "id": i,
                 "row": row,
                 "value": evaluation.indicator(i).value,
-                "digits": 3 if row.unit == "pixel" else 2,
+                "digits": shown_decimals(evaluation.indicator(i).value, row.unit),
                 "grade": evaluation.grade(i),
                 "grade_zh": block["grade_zh"],
                 "block": block,
@@ -250,7 +253,7 @@ def render_report(evaluation: Evaluation, score: Score | None) -> str:
         loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=jinja2.StrictUndefined
     )
     with style():
-        pictures = _pictures(evaluation, score)
+        pictures = [replace(p, reason=plain(p.reason, evaluation.root)) for p in _pictures(evaluation, score)]
     page = environment.get_template("template.html.j2").render(
         font_place=_FONT_PLACE,
         evaluation=evaluation,
