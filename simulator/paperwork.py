@@ -110,6 +110,17 @@ def map_sheet_10000(latitude_deg: float, longitude_deg: float) -> str:
     return f"{letter}{column:02d}G{row:03d}{col:03d}"
 
 
+def _bench_instruments(config: Config) -> dict[str, str]:
+    """Statements of the instruments of table 2 that only benches and ranging line need."""
+    found = {}
+    if "bench" in config.campaign.parts:
+        found["integrating_sphere"] = config.bench.sphere.traceability
+    if "ranging" in config.campaign.parts:
+        stations = (config.ranging.correction_station, config.ranging.reference_station)
+        found["total_station"] = ", ".join(f"{s.name}: {s.class_mm:g} mm class" for s in stations)
+    return found
+
+
 def flight_plan(config: Config, scene: Scene, sorties: tuple[Sortie, ...], frame: SiteFrame) -> FlightPlan:
     """The plan of 7.1 a-g, as it would be filed before the flight."""
     site, flight, camera = config.site, config.flight, config.camera
@@ -176,6 +187,7 @@ def flight_plan(config: Config, scene: Scene, sorties: tuple[Sortie, ...], frame
                 f"{config.targets.survey.height_std_m:g} m height (one standard deviation)"
             ),
             "field_spectrometer": "400-1700 nm, 5 nm",
+            **_bench_instruments(config),
         },
         strips=tuple(strips),
     )

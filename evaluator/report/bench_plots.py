@@ -121,7 +121,7 @@ def board_residuals(result: ChessboardResult) -> Figure | None:
     _frame(upper, size)
     colours = np.array([_colour(p) for p in range(int(position.max()) + 1)])[position]
     arrows = {"angles": "xy", "scale_units": "xy", "scale": 1}
-    upper.quiver(*observed[keep].T, *(shift[keep] * magnify).T, color=colours[keep], alpha=0.45, width=0.0016, **arrows)
+    upper.quiver(*observed[keep].T, *(shift[keep] * magnify).T, color=colours[keep], alpha=0.6, width=0.002, **arrows)
     centre, mean = _cell_means(observed, shift, size)
     upper.quiver(*centre.T, *(mean * magnify).T, color=INK, width=0.004, **arrows)
     upper.set_title(f"Residual vectors 残差矢量 × {magnify:.0f}; black: means of cells", fontsize=9)
