@@ -110,7 +110,7 @@ def _start_values(obs: Observations, focal_px: float | None) -> tuple[Lens, Pose
     return best[1], best[2]
 
 
-def _weights(obs: Observations, use: np.ndarray, floor: float, factor: np.ndarray) -> np.ndarray:
+def weights(obs: Observations, use: np.ndarray, floor: float, factor: np.ndarray) -> np.ndarray:
     """Inverse of (covariance + floor^2) times the image's factor; zero where not in use."""
     covariance = np.where(use[..., None, None], obs.covariance_px2, np.eye(2)) + floor**2 * np.eye(2)
     return np.asarray(np.linalg.inv(covariance * factor[:, None, None, None]) * use[..., None, None])
@@ -197,7 +197,7 @@ def calibrate(
         else:
             plain = obs
             floor = _floor(residual, obs, use, share)
-        unit = _weights(plain, use, floor, np.ones(k))
+        unit = weights(plain, use, floor, np.ones(k))
         squares = np.einsum("kni,knij,knj->kn", np.where(use[..., None], residual, 0.0), unit, np.nan_to_num(residual))
         rms = np.sqrt(_image_means(squares, use) / 2.0)
         gone = reject and _reject(rms, squares, use, rejected, wild)
@@ -216,10 +216,10 @@ def calibrate(
             and np.allclose(factor, before[1], rtol=0.01)
         ):
             break
-        weight = _weights(plain, use, floor, factor)
+        weight = weights(plain, use, floor, factor)
         lens, poses, _, steps = _adjust_used(lens, poses, plain, weight, everything)
         iterations += steps
-    weight = _weights(plain, use, floor, factor)
+    weight = weights(plain, use, floor, factor)
     lens, poses, system, steps = _adjust_used(lens, poses, plain, weight, everything)
     return _result(lens, poses, system, obs, use, floor, factor, rejected, wild, iterations + steps)
 
