@@ -55,7 +55,7 @@ def check_campaign(root: Path, *, checksums: bool = True, truth: bool = True) ->
     outdoor = _outdoor(check.folder)
     check.survey(manifest, expected=outdoor)
     plan = check.read_part(check.folder.plan, read_plan, expected=outdoor)
-    camera = check.read_part(check.folder.camera, read_camera, expected=outdoor or _has_sphere(check.folder))
+    camera = check.read_part(check.folder.camera, read_camera, expected=outdoor)
     lidar = check.read_part(check.folder.lidar, read_lidar, expected=outdoor)
     check.read_part(check.folder.rig, read_rig, expected=outdoor)
     check_bench(check)
@@ -76,11 +76,6 @@ def _outdoor(folder: CampaignFolder) -> bool:
     """Whether the campaign is one of a flight, as far as it goes: not one of benches or a ranging line alone."""
     alone = (folder.root / "bench").is_dir() or folder.ranging.is_dir()
     return not alone or bool(folder.sorties()) or folder.targets.parent.exists()
-
-
-def _has_sphere(folder: CampaignFolder) -> bool:
-    """A sphere's images need the black level of sensors/camera.json."""
-    return folder.sphere_stability.is_dir() or folder.sphere_repeatability.is_dir()
 
 
 def check_config(path: Path | str, overrides: Sequence[str] = ()) -> list[Problem]:

@@ -26,6 +26,10 @@ def check_bench(check: Collector) -> None:
     for place in (folder.sphere_stability, folder.sphere_repeatability):
         if place.is_dir():
             _series(check, place, read_sphere_log)
+            if not folder.camera.exists():
+                check.add(
+                    "warning", place, "no sensors/camera.json: the black level is each image's own tag, else zero"
+                )
     if folder.chessboard.is_dir():
         check.read_part(folder.chessboard / "board.json", read_board)
         _series(check, folder.chessboard, read_board_log)

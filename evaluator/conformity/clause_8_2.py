@@ -10,6 +10,7 @@ from evaluator.bench_model import SphereSeries
 from evaluator.conformity.clause_6_3 import has_sphere
 from evaluator.conformity.model import ConformityInputs, Row, missing, passed, percent, row
 from evaluator.model import CampaignData
+from evaluator.results_model import IndicatorValue
 
 _WARM_UP_S = 1200.0
 _TOLERANCE = 0.10  # of an interval: a person or an intervalometer triggers; the text states none
@@ -57,13 +58,15 @@ def _warm_up(protocol: _Protocol, log: Sequence[SphereExposure]) -> Row:
     )
 
 
-def _exposed(protocol: _Protocol, log: Sequence[SphereExposure], series: SphereSeries | None) -> list[Row]:
+def _exposed(
+    protocol: _Protocol, log: Sequence[SphereExposure], series: SphereSeries | None, value: IndicatorValue | None
+) -> list[Row]:
     clause = f"{protocol.clause} d"
     requirement, limit = f"{protocol.name} images not over-exposed", "no saturated pixel in the central region"
-    if series is None:
+    share = series.saturated_share if series else value.companions.get("saturated_share") if value else None
+    if not isinstance(share, int | float):
         clipped = missing(clause, requirement, limit, "image that could be read")
     else:
-        share = series.saturated_share
         text = f"{percent(share, 1)} of the central region saturated, at worst" if share > 0.0 else "none"
         clipped = row(clause, requirement, text, limit, passed(share == 0.0))
     requirement, limit = f"{protocol.name} images of one setting", "the same exposure time and gain"
@@ -102,11 +105,13 @@ def _intervals(protocol: _Protocol, log: Sequence[SphereExposure], series: Spher
     return row(clause, requirement, text, limit, passed(len(used) >= _IMAGES and even))
 
 
-def _series(protocol: _Protocol, log: Sequence[SphereExposure], series: SphereSeries | None) -> list[Row]:
+def _series(
+    protocol: _Protocol, log: Sequence[SphereExposure], series: SphereSeries | None, value: IndicatorValue | None
+) -> list[Row]:
     if not log:
         limit = f"{protocol.clause} a to h"
         return [missing(protocol.clause, f"{protocol.name} series", limit, f"readable {protocol.place}/log.csv")]
-    return [_warm_up(protocol, log), *_exposed(protocol, log, series), _intervals(protocol, log, series)]
+    return [_warm_up(protocol, log), *_exposed(protocol, log, series, value), _intervals(protocol, log, series)]
 
 
 def clause_8_2(data: CampaignData, measured: ConformityInputs) -> list[Row]:
@@ -114,8 +119,13 @@ def clause_8_2(data: CampaignData, measured: ConformityInputs) -> list[Row]:
     if not has_sphere(data):
         requirement, limit = "images of an integrating sphere", "8.2.2.1 and 8.2.2.2"
         return [row("8.2.2", requirement, "no integrating sphere in this campaign", limit, "not_applicable")]
-    result = measured.sphere
+    result, bench = measured.sphere, data.bench
+    if result is None:
+        return [
+            *_series(_STABILITY, bench.stability, None, None),
+            *_series(_REPEATABILITY, bench.repeatability, None, None),
+        ]
     return [
-        *_series(_STABILITY, data.bench.stability, result.stability_series if result else None),
-        *_series(_REPEATABILITY, data.bench.repeatability, result.repeatability_series if result else None),
+        *_series(_STABILITY, bench.stability, result.stability_series, result.stability),
+        *_series(_REPEATABILITY, bench.repeatability, result.repeatability_series, result.repeatability),
     ]
