@@ -1,7 +1,7 @@
 """Clause 9.1: ranging error of the LiDAR, formulas (9)-(15), and the indicator m_z from a campaign's ranging line.
 
 The total station's side, formula (12) with IUGG's group index, is in `evaluator.total_station` and offered here too; panels
-are found and ranged in `evaluator.observe.ranging_panels`, records gathered in `evaluator.ranging_observations`.
+are found in `evaluator.observe.ranging_panels`, records gathered in `evaluator.ranging_observations`.
 """
 
 from collections.abc import Callable
@@ -358,7 +358,10 @@ def _adjusted(
             "chi_square_freedom": len(usable) - 2,
             "chi_square_p": float(chi2.sf(statistic, len(usable) - 2)),
             "lidar_scatter_over_fit": float(np.sqrt(scale)) if freedom >= 4 else None,
-            "station_std_m": {s: r.pooled_std_m for s, r in (("correction", correction), ("reference", reference))},
+            "reading_std_m": {
+                use: result.scatter * float(np.mean([p.class_m for p in result.panels]))
+                for use, result in (("correction", correction), ("reference", reference))
+            },
             "stations": {"correction": correction.station.name, "reference": reference.station.name},
             "panels": _rows(panels),
             **({"not_used": not_used} if not_used else {}),

@@ -18,6 +18,7 @@ from evaluator.total_station import StationResult, readings_of
 
 Report = Callable[[str, int, int], None]
 MIN_OBSERVATIONS = 5  # 9.1.2 c, f
+FULL_OVER_FWHM = 1.699  # of a Gaussian beam: width at 1/e2 over width at half maximum
 CLASS_MM = {"correction": 10.0, "reference": 5.0}  # 9.1.2 c, k
 
 
@@ -40,7 +41,10 @@ def station_of(data: CampaignData, line: RangingLine, serves: str, found: Found)
     if result is None:
         raise EvaluationError(f"no total station of ranging/line.json serves {serves!r} ({step})")
     if not result.panels:
-        raise EvaluationError(f"no usable reading of {result.station.name}, which serves {serves!r} ({step})")
+        raise EvaluationError(
+            f"no usable reading of {result.station.name}, which serves {serves!r} ({step})",
+            got=left_out[0] if left_out else "no row",
+        )
     if result.station.class_mm > CLASS_MM[serves]:
         found.notes.append(
             f"{result.station.name} is of the {result.station.class_mm:g} mm class, {step} asks for {CLASS_MM[serves]:g} mm"
@@ -64,7 +68,10 @@ def observe_scans(
             wanted.append(WantedPanel(id=panel.id, size_m=panel.size_m, place_m=sighted.place_m))
     if len(wanted) < 3:
         raise EvaluationError("fewer than three panels have a total station's distance", got=len(wanted))
-    divergence = data.lidar.divergence_rad if data.lidar else None
+    divergence = None
+    if data.lidar is not None:
+        wider = FULL_OVER_FWHM if data.lidar.divergence_definition == "fwhm" else 1.0
+        divergence = wider * data.lidar.divergence_rad
     unit = data.lidar.amplitude_unit if data.lidar else "linear"
     reasons = []
     progress("ranging", 0, len(data.ranging.scans))
@@ -78,7 +85,8 @@ def observe_scans(
             for name, why in scan.not_found.items():
                 found.misses.setdefault(name, []).append(f"{path.name}: {why}")
         except TestrangeError as error:
-            reasons.append(f"{path.name}: {in_folder(error, data.folder.root)}")
+            text = in_folder(error, data.folder.root)
+            reasons.append(text if path.name in text else f"{path.name}: {text}")
         progress("ranging", done, len(data.ranging.scans))
     found.left_out += reasons
     if not found.scans:

@@ -12,7 +12,8 @@ from campaign.ranging import RangingLine, StationReading, TotalStation
 from evaluator.model import EvaluationError
 
 MIN_READINGS = 5  # of each panel, 9.1.2 c
-OUTLIER_M = 0.5  # from the median of the panel's readings: another panel's name, a wrong unit
+OUTLIER_CLASSES = 10.0  # from the median of the panel's readings: another panel's name, a wrong unit, a wrong figure
+LEAST_STD_M = 1e-4  # of a reading: the display's last digit, where readings repeat one figure
 
 
 def saturation_pressure_hpa(temperature_c: float) -> float:
@@ -145,6 +146,7 @@ class StationPanel:
     std_m: float | None  # of one reading, from their scatter; None: a single one
     place_m: np.ndarray  # (3,) mean, from the LiDAR's centre
     sight_m: float  # from the station
+    class_m: float  # the instrument's class at this distance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,8 +155,8 @@ class StationResult:
 
     station: TotalStation
     panels: tuple[StationPanel, ...]
-    pooled_std_m: float  # of one reading
-    pooled_freedom: int  # 0: the class stands in for the scatter
+    scatter: float  # standard deviation of one reading over the class, pooled over all panels
+    freedom: int  # behind `scatter`; 0: the class itself stands in
 
     def of(self, panel: str) -> StationPanel | None:
         return next((p for p in self.panels if p.panel == panel), None)
@@ -195,17 +197,17 @@ def readings_of(
             continue
         place = np.stack(rows)
         distance = np.linalg.norm(place, axis=1)
-        good = np.abs(distance - np.median(distance)) <= OUTLIER_M
+        class_m = 1e-3 * station.class_mm + 1e-6 * station.class_ppm * float(np.median(distance))
+        good = np.abs(distance - np.median(distance)) <= OUTLIER_CLASSES * class_m
         left_out += [
-            f"{station.name} {panel}: {value:.3f} m lies more than {OUTLIER_M:g} m from the median"
+            f"{station.name} {panel}: {value:.3f} m lies more than {OUTLIER_CLASSES * class_m:.3f} m from the median"
             for value in distance[~good]
         ]
         place, distance = place[good], distance[good]
         if len(distance) == 0:  # two readings that disagree
             continue
-        if len(distance) > 1:
-            squares += float(np.sum((distance - distance.mean()) ** 2))
-            freedom += len(distance) - 1
+        squares += float(np.sum((distance - distance.mean()) ** 2)) / class_m**2
+        freedom += len(distance) - 1
         panels.append(
             StationPanel(
                 panel=panel,
@@ -214,14 +216,11 @@ def readings_of(
                 std_m=float(distance.std(ddof=1)) if len(distance) > 1 else None,
                 place_m=place.mean(axis=0),
                 sight_m=float(np.mean(np.asarray(sights[panel])[good])),
+                class_m=class_m,
             )
         )
-    pooled = float(np.sqrt(squares / freedom)) if freedom else station.class_mm * 1e-3
-    # Readings that repeat one displayed figure have no scatter; the display's last digit, 0.1 mm, is the least that is believed.
-    return (
-        StationResult(station=station, panels=tuple(panels), pooled_std_m=max(pooled, 1e-4), pooled_freedom=freedom),
-        left_out,
-    )
+    scatter = float(np.sqrt(squares / freedom)) if freedom else 1.0
+    return StationResult(station=station, panels=tuple(panels), scatter=scatter, freedom=freedom), left_out
 
 
 def unknown_stations(line: RangingLine, readings: tuple[StationReading, ...]) -> list[str]:
@@ -236,14 +235,15 @@ def unknown_stations(line: RangingLine, readings: tuple[StationReading, ...]) ->
 def covariance_m2(result: StationResult, panels: list[str]) -> np.ndarray:
     """(n, n) of the mean distances: scatter of the readings, and what the certificate leaves open, which is common to all.
 
-    The eccentricity is not in it: both stations share it (`eccentricity_covariance_m2`). [m2]
+    The class says how the scatter grows with distance, the readings of all panels together how large it is. The eccentricity
+    is not in it: both stations share it (`eccentricity_covariance_m2`). [m2]
     """
     found = [p for name in panels if (p := result.of(name)) is not None]
-    readings = np.array([p.readings for p in found], float)
+    reading_m = np.maximum(result.scatter * np.array([p.class_m for p in found]), LEAST_STD_M)
     sight = np.array([p.sight_m for p in found])
     station = result.station
     return (
-        np.diag(result.pooled_std_m**2 / readings)
+        np.diag(reading_m**2 / np.array([p.readings for p in found], float))
         + station.additive_constant_std_m**2
         + station.scale_std**2 * np.outer(sight, sight)
     )

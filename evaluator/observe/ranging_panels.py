@@ -18,6 +18,8 @@ GATE_SCALE = 2e-3
 CELLS = 4  # of the search, along a panel's edge
 FILLED = 9  # cells of CELLS x CELLS that must hold a point
 CANDIDATES = 6  # of each panel
+ENOUGH_POINTS = 2000  # for the middle of a candidate
+MAX_TRIES = 500  # pairs of candidates that are followed up
 PLACE_GATE = 0.35  # of the panel's size: candidate against the place that the rotation gives
 MIN_POINTS = 6  # of one panel in one scan
 DEFAULT_DIVERGENCE_RAD = 0.0005
@@ -176,8 +178,22 @@ def _candidates(shell: _Shell, distance_m: float, size_m: float) -> list[np.ndar
         for _ in range(5):
             near = tree.query_ball_point(centre, 0.75 * size_m)
             centre = middle[near].mean(axis=0)
-        out.append(centre / np.linalg.norm(centre))
+        out.append(_centred(shell, centre / np.linalg.norm(centre), distance_m, size_m))
     return out
+
+
+def _centred(shell: _Shell, direction: np.ndarray, distance_m: float, size_m: float) -> np.ndarray:
+    """The direction again (3,), from points on the panel's own plane: without the post behind it and the ground below."""
+    for _ in range(4):
+        near = np.flatnonzero(np.linalg.norm(shell.direction - direction, axis=1) * distance_m <= 0.75 * size_m)
+        near = near[:: 1 + len(near) // ENOUGH_POINTS]
+        try:
+            _, residual, scale = _plane(shell.direction[near], shell.range_m[near], direction)
+        except EvaluationError:
+            return direction
+        middle = shell.direction[near[np.abs(residual) <= max(4.0 * scale, 0.01)]].mean(axis=0)
+        direction = middle / np.linalg.norm(middle)
+    return direction
 
 
 def _tie(
@@ -194,27 +210,28 @@ def _tie(
     size = np.array([p.size_m for p in wanted])
     # A candidate's own centre is good to a share of the panel's size.
     gate = PLACE_GATE * size
-    pool = [(i, c) for i, found in enumerate(candidates) for c in found]
-    best: tuple[int, float, np.ndarray | None] = (2, np.inf, None)
-    for a, (i, first) in enumerate(pool):
-        for j, second in pool[a + 1 :]:
-            if i == j:
-                continue
-            angle = np.arccos(np.clip(first @ second, -1, 1)) - np.arccos(np.clip(towards[i] @ towards[j], -1, 1))
-            if abs(angle) > gate[i] / distance[i] + gate[j] / distance[j]:
-                continue
-            rotation = _rotation(np.stack([first, second]), towards[[i, j]], 1.0 / (size[[i, j]] / distance[[i, j]]))
-            rotation, chosen = _refined(rotation, towards, candidates, distance, gate, size)
-            miss = [
-                np.linalg.norm(c - rotation @ towards[k]) * distance[k] / size[k]
-                for k, c in enumerate(chosen)
-                if c is not None
-            ]
-            if (-len(miss), float(np.sum(miss))) < (-best[0], best[1]):
-                best = (len(miss), float(np.sum(miss)), rotation)
-    if best[2] is None:
-        return None, [None] * len(wanted)
-    return _refined(best[2], towards, candidates, distance, gate, size)
+    pool = [(rank, i, c) for i, found in enumerate(candidates) for rank, c in enumerate(found)]
+    pairs = [(p, q) for n, p in enumerate(pool) for q in pool[n + 1 :] if p[1] != q[1]]
+    pairs.sort(key=lambda pair: pair[0][0] + pair[1][0])  # the best of each panel first
+    most, least_miss, best = 2, np.inf, None
+    tries = 0
+    for (_, i, first), (_, j, second) in pairs:
+        angle = np.arccos(np.clip(first @ second, -1, 1)) - np.arccos(np.clip(towards[i] @ towards[j], -1, 1))
+        if abs(angle) > gate[i] / distance[i] + gate[j] / distance[j]:
+            continue
+        start = _rotation(np.stack([first, second]), towards[[i, j]], (distance / size)[[i, j]])
+        rotation, chosen = _refined(start, towards, candidates, distance, gate, size)
+        miss = [
+            float(np.linalg.norm(c - rotation @ towards[k]) * distance[k] / size[k])
+            for k, c in enumerate(chosen)
+            if c is not None
+        ]
+        if len(miss) > most or (len(miss) == most and best is not None and sum(miss) < least_miss):
+            most, least_miss, best = len(miss), sum(miss), (rotation, chosen)
+        tries += 1
+        if most == sum(1 for c in candidates if c) or tries >= MAX_TRIES:
+            break
+    return best if best is not None else (None, [None] * len(wanted))
 
 
 def _refined(
@@ -257,48 +274,68 @@ def _range(
     leave out what stands before or behind the panel. Only points within half a footprint of the inscribed circle count, and
     only full, single echoes.
     """
-    axes = np.linalg.svd(predicted[None])[2]  # rows: along +-predicted, two across
-    along = shell.direction @ predicted
-    across = np.einsum("ij,nj->ni", axes[1:], shell.direction) / np.maximum(along, 1e-9)[:, None]
-    radius_m = 0.5 * panel.size_m - 0.5 * beam_rad * distance_m
-    inside = (along > 0.5) & (np.hypot(*across.T) * distance_m <= max(radius_m, 0.2 * panel.size_m))
+    across_m = np.linalg.norm(shell.direction - predicted, axis=1) * distance_m
+    radius_m = max(0.5 * panel.size_m - 0.5 * beam_rad * distance_m, 0.2 * panel.size_m)
+    inside = across_m <= radius_m
     if inside.sum() < MIN_POINTS:
         raise EvaluationError("too few points", got=int(inside.sum()), expected=f"at least {MIN_POINTS}")
-    # The panel's own range first: the greatest group of points within the noise of one another.
     middle = _mode(shell.range_m[inside])
     usual = np.median(shell.amplitude[inside & (np.abs(shell.range_m - middle) < 0.1)])
     inside &= shell.alone & ~(shell.amplitude < DARK_SHARE * usual)
-    design = np.column_stack([np.ones(len(along)), across])[inside] * along[inside, None]
-    range_m = shell.range_m[inside]
-    if len(range_m) < MIN_POINTS:
-        raise EvaluationError("too few full echoes", got=len(range_m), expected=f"at least {MIN_POINTS}")
-    weight = (np.abs(range_m - middle) < 0.1).astype(float)
-    a = np.array([1.0 / middle, 0.0, 0.0])
-    scale = 0.0
-    for _ in range(10):
-        if np.count_nonzero(weight) < MIN_POINTS:
-            raise EvaluationError("too few points on a plane", got=int(np.count_nonzero(weight)))
-        # residual along the ray: dr = -r^2 d(1/r)
-        rows = design * (middle**2 * np.sqrt(weight))[:, None]
-        a = np.linalg.lstsq(rows, middle**2 * np.sqrt(weight) / range_m, rcond=None)[0]
-        residual = range_m - 1.0 / (design @ a)
-        scale = max(1.4826 * float(np.median(np.abs(residual[weight > 0]))), 2e-4)
-        weight = np.clip(1.0 - (residual / (6.0 * scale)) ** 2, 0.0, None) ** 2
+    direction, range_m = shell.direction[inside], shell.range_m[inside]
+    polar, residual, scale = _plane(direction, range_m, predicted)
+    weight = _tukey(residual, scale)
     used = weight > 0
-    freedom = max(int(used.sum()) - 3, 1)
-    variance = float(np.sum(weight[used] * residual[used] ** 2) / np.sum(weight[used])) * int(used.sum()) / freedom
-    normal = np.linalg.inv((design * (middle**4 * weight)[:, None]).T @ design)
-    range_centre = 1.0 / float(a[0])
-    if not abs(range_centre - middle) < 0.2:
-        raise EvaluationError("its points lie on no plane")
+    variance = float(np.sum(weight * residual**2) / np.sum(weight)) * used.sum() / max(used.sum() - 3, 1)
+    design = _design(direction, predicted)
+    normal = np.linalg.inv((design * (range_m**4 * weight)[:, None]).T @ design)
     return RangedPanel(
-        range_m=range_centre,
-        variance_m2=variance * float(normal[0, 0]) * range_centre**4,
+        range_m=1.0 / float(polar[0]),
+        variance_m2=float(variance * normal[0, 0] / polar[0] ** 4),
         points=int(used.sum()),
         rms_m=float(np.sqrt(np.mean(residual[used] ** 2))),
         miss_m=float(np.linalg.norm(candidate - predicted)) * distance_m,
         time_s=(float(shell.time_s[inside].min()), float(shell.time_s[inside].max())),
     )
+
+
+def _design(direction: np.ndarray, about: np.ndarray) -> np.ndarray:
+    """(n, 3) rows of 1/r = a . row: along `about`, and two axes across. a[0] is one over the plane's range along `about`."""
+    axes = np.linalg.svd(about[None])[2]
+    axes[0] = about
+    return np.einsum("ij,nj->ni", axes, direction)
+
+
+def _tukey(residual: np.ndarray, scale: float) -> np.ndarray:
+    """Weights, 0 from six scales on."""
+    return np.asarray(np.clip(1.0 - (residual / (6.0 * scale)) ** 2, 0.0, None) ** 2)
+
+
+def _plane(direction: np.ndarray, range_m: np.ndarray, about: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """(3,) polar form about a direction, (n,) residuals along the ray, and their robust scale.
+
+    It starts from the greatest group of points within 0.1 m of one another and spreads along their plane.
+    """
+    if len(range_m) < MIN_POINTS:
+        raise EvaluationError("too few full echoes", got=len(range_m), expected=f"at least {MIN_POINTS}")
+    middle = _mode(range_m)
+    design = _design(direction, about)
+    weight = (np.abs(range_m - middle) < 0.1).astype(float)
+    for _ in range(12):
+        if np.count_nonzero(weight) < MIN_POINTS:
+            raise EvaluationError("too few points on a plane", got=int(np.count_nonzero(weight)))
+        # residual along the ray: dr = -r^2 d(1/r)
+        rows = design * (weight * range_m**4)[:, None]
+        polar = np.linalg.pinv(rows.T @ design, hermitian=True) @ (rows.T @ (1.0 / range_m))
+        inverse = design @ polar
+        if not (inverse > 0).all():
+            raise EvaluationError("its points lie on no plane")
+        residual = range_m - 1.0 / inverse
+        scale = max(1.4826 * float(np.median(np.abs(residual[weight > 0]))), 2e-4)
+        weight = _tukey(residual, scale)
+    if not abs(1.0 / polar[0] - middle) < 0.3:
+        raise EvaluationError("its points lie on no plane")
+    return polar, residual, scale
 
 
 def _mode(range_m: np.ndarray) -> float:
