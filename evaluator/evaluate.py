@@ -1,8 +1,9 @@
 """One campaign folder in, one `Evaluation` out: the order of the evaluator's rooms. No formula and no file format here.
 
-First the geometry: marks from every image, vertices from every strip, both mountings. With the mountings known the panels are
-where the survey says; without them each is searched. Then the indicators, then conformity. An indicator that cannot be had
-carries its reason and never stops the others. Nothing under truth/ is opened.
+First the benches (5.1), whose camera calibration serves the flight where it fits. Then the geometry: marks from every image,
+vertices from every strip, both mountings. With the mountings known the panels are where the survey says; without them each is
+searched. Then the indicators, then conformity. An indicator that cannot be had carries its reason and never stops the
+others. Nothing under truth/ is opened.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,6 +16,7 @@ from campaign.errors import TestrangeError
 from campaign.images import read_image, read_preview
 from campaign.records import CameraObservation, Exposure, read_camera_observations
 from campaign.threads import one_blas_thread
+from evaluator.benches import evaluate_benches, flight_lens
 from evaluator.c8_1_lidar_reflectance import PanelReflectances, evaluate_lidar_reflectance
 from evaluator.c8_3_reflectance_consistency import evaluate_reflectance_consistency
 from evaluator.c9_3_calibration import CalibrationResult, evaluate_calibration
@@ -81,6 +83,8 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
     """
     data = read_campaign(root)
     findings = _Findings(problems=list(data.problems), root=root)
+    benches = evaluate_benches(data, progress)
+    data, lens_source = flight_lens(data, benches.chessboard)
     _outside(targets_outside_images(data), strict, findings)
     returns = _returns_near_targets(data, findings, progress)
     _outside(targets_outside_strips(data, returns, _collect_radius_m(data)), strict, findings)
@@ -97,14 +101,21 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
     progress("panels", 2, 2)
     progress("calibration error", 0, 1)
     calibration, p_m = _calibration(geometry, geometry_reason)
+    if p_m.value is not None:
+        p_m = replace(p_m, companions={**p_m.companions, "interior_orientation": lens_source})
     progress("calibration error", 1, 1)
-    indicators = {
+    indicators = benches.indicators | {
         "lidar_reflectance_rmse": m_f,
         "reflectance_correlation": r_f,
         "reflectance_rmse_relative": m_relative,
         "calibration_error": p_m,
     }
-    measured = _conformity_inputs(data, findings, geometry, lidar_panels, returns, camera, indicators)
+    measured = replace(
+        _conformity_inputs(data, findings, geometry, lidar_panels, returns, camera, indicators),
+        sphere=benches.sphere,
+        chessboard=benches.chessboard,
+        ranging=benches.ranging,
+    )
     return Evaluation(
         campaign=data.manifest.campaign,
         synthetic=data.manifest.synthetic,
@@ -126,6 +137,9 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
             "marks_not_found": dict(sorted(findings.mark_reasons.items())),
             "vertices_not_found": dict(sorted(geometry.vertex_reasons.items())) if geometry else {},
         },
+        sphere=benches.sphere,
+        chessboard=benches.chessboard,
+        ranging=benches.ranging,
     )
 
 
