@@ -14,7 +14,14 @@ import numpy as np
 from evaluator.model import EvaluationError
 from evaluator.observe.saddle_fit import fit_saddles
 
-_FINDING_SIDES_PX = (1000, 1600, 2600)  # longer side of the reduced pictures, tried in this order
+# Longer side of the reduced picture and OpenCV's flags, tried in this order. Equalising the histogram finds boards before a bright
+# sky and loses boards in a dark room.
+_ATTEMPTS = (
+    (1000, 0),
+    (1000, cv2.CALIB_CB_NORMALIZE_IMAGE),
+    (1600, cv2.CALIB_CB_EXHAUSTIVE),
+    (3200, cv2.CALIB_CB_EXHAUSTIVE),
+)
 _MOST_RADIUS_PX = 20.0  # of a corner's window: beyond it corners hardly gain
 _LEAST_RADIUS_PX = 3.2
 _SATURATED = 0.05  # share of the board's pixels at full scale
@@ -65,17 +72,16 @@ def _reduced(grey: np.ndarray, side: int) -> np.ndarray:
     return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))
 
 
-def _sides(grey: np.ndarray) -> list[int]:
-    sides = [s for s in _FINDING_SIDES_PX if s < max(grey.shape)]
-    return sides if len(sides) == len(_FINDING_SIDES_PX) else [*sides, max(grey.shape)]
-
-
 def _find(grey: np.ndarray, columns: int, rows: int) -> tuple[np.ndarray, float] | None:
     """(rows, columns, 2) corners to about a pixel of the reduced picture, image axes at full resolution, and that pixel's size."""
-    flags = (cv2.CALIB_CB_NORMALIZE_IMAGE, cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE)
-    for attempt, side in enumerate(_sides(grey)):
+    tried: set[tuple[int, int]] = set()
+    for side, flags in _ATTEMPTS:
+        attempt = (min(side, max(grey.shape)), flags)
+        if attempt in tried:
+            continue
+        tried.add(attempt)
         small = _reduced(grey, side)
-        found, corners = cv2.findChessboardCornersSB(_eight_bit(small), (columns, rows), flags=flags[min(attempt, 1)])
+        found, corners = cv2.findChessboardCornersSB(_eight_bit(small), (columns, rows), flags=flags)
         if found:
             step = np.array([grey.shape[1] / small.shape[1], grey.shape[0] / small.shape[0]])
             # OpenCV's first pixel has its centre at (0, 0)
@@ -89,12 +95,13 @@ def seen_size(grey: np.ndarray, columns: int, rows: int) -> tuple[int, int] | No
 
     The search takes any board of at least half the stated size and grows it as far as it goes.
     """
-    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
     least = (max(columns // 2, 3), max(rows // 2, 3))
-    found, _, meta = cv2.findChessboardCornersSBWithMeta(_eight_bit(_reduced(grey, 1000)), least, flags)
-    if not found or meta is None or len(np.shape(meta)) != 2:
-        return None
-    return int(meta.shape[1]), int(meta.shape[0])
+    small = _eight_bit(_reduced(grey, 1000))
+    for flags in (0, cv2.CALIB_CB_NORMALIZE_IMAGE):
+        found, _, meta = cv2.findChessboardCornersSBWithMeta(small, least, flags | cv2.CALIB_CB_LARGER)
+        if found and meta is not None and len(np.shape(meta)) == 2:
+            return int(meta.shape[1]), int(meta.shape[0])
+    return None
 
 
 def _neighbour_steps(uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
