@@ -17,12 +17,13 @@ from simulator.camera import distort, pixel_from_distorted
 from simulator.randomness import Stream, generator
 
 CELLS = (8, 6)  # of the field, across and down: each holds a corner at every distance
+CLEAR_PX = 3.0  # a corner nearer to a cell's border may be found on its other side
 BORDER = 0.01  # of the field, kept free of the board
 MIN_IMAGES = 20  # 9.2.2
 TURNED_IMAGES = 6  # beside the walk over the field
 MIN_SQUARE_PX = 12.0
 TILT_STEPS = (1.0, 0.75, 0.5, 0.25, 0.0)
-WALK_TILTS = (1.0, 0.85, 0.7, 0.55, 0.4, 0.2)
+WALK_TILTS = (1.0, 0.85, 0.7, 0.5)  # of the greatest tilt; less would show little of the perspective
 JITTER_SHIFT = 0.01  # of the free travel
 JITTER_ROLL_DEG = 1.5
 _PLAN = 0  # key of the stream
@@ -132,10 +133,12 @@ def plan_placements(config: Config) -> tuple[Placement, ...]:
 
 
 def coverage(lens: Lens, size_px: np.ndarray, board: Board, placements: list[Placement]) -> np.ndarray:
-    """Inner corners in each cell of the field, (rows, columns), over all placements."""
+    """Inner corners clear of the borders of each cell of the field, (rows, columns), over all placements."""
     pixel = np.concatenate([project_board(lens, p, board.corners_m()) for p in placements])
-    cell = np.floor(pixel / size_px * CELLS).astype(int)
-    inside = ((cell >= 0) & (cell < CELLS)).all(axis=1)
+    place = pixel / size_px * CELLS
+    cell = np.floor(place).astype(int)
+    clear = np.abs(place - np.round(place)) * size_px / CELLS > CLEAR_PX
+    inside = ((cell >= 0) & (cell < CELLS) & clear).all(axis=1)
     count = np.zeros(CELLS[::-1], int)
     np.add.at(count, (cell[inside, 1], cell[inside, 0]), 1)
     return count
@@ -145,11 +148,18 @@ def _walk(
     board: Board, lens: Lens, size: np.ndarray, distance: float, tilt: float, index: int, seed: int
 ) -> list[Placement]:
     """The smallest grid of places whose corners cover the field at one distance, with as much tilt as covers it."""
-    grids = sorted(product(range(1, CELLS[0] + 1), range(1, CELLS[1] + 1)), key=lambda n: n[0] * n[1])
-    for (across, down), part, phase in product(grids, WALK_TILTS, range(4)):
-        walk = _grid(board, lens, size, distance, part * tilt, (across, down), index + phase, seed)
-        if coverage(lens, size, board, walk).all():
-            return walk
+    fallback: list[Placement] | None = None
+    for across, down in sorted(product(range(1, CELLS[0] + 1), range(1, CELLS[1] + 1)), key=lambda n: n[0] * n[1]):
+        flat = _grid(board, lens, size, distance, 0.0, (across, down), 0, seed)
+        if not coverage(lens, size, board, flat).all():
+            continue
+        fallback = fallback or flat
+        for part, phase in product(WALK_TILTS, range(4)):
+            walk = _grid(board, lens, size, distance, part * tilt, (across, down), index + phase, seed)
+            if coverage(lens, size, board, walk).all():
+                return walk
+    if fallback is not None:
+        return fallback
     raise ConfigError(
         "the chessboard's corners cannot reach every part of the field",
         where=f"bench.chessboard.distances_m {distance}",

@@ -34,8 +34,9 @@ import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
 KNOTS = 2048  # of the tables of quantiles, as simulator.render.sampling
-PLAIN, PATTERN, OUTLINE = 0, 1, 2  # what a pixel's blur reaches
+PLAIN, EDGE, CORNER, OUTLINE = 0, 1, 2, 3  # what a pixel's blur reaches
 REACH_SIGMA = 4.5  # of the point spread
+CORNER_FACTOR = 8  # pixels whose blur reaches lines of both directions get this many times the samples of an edge
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,14 +105,14 @@ def render_board(
         value, kind = _once(job, pixel)
         dr.eval(value, kind)
         picture[lanes], reach[lanes] = np.asarray(value), np.asarray(kind)
-    edges = np.flatnonzero(reach != PLAIN).astype(np.uint32)
-    count = mi.UInt32(samples)
-    dr.make_opaque(count)
-    # Few lanes at a time keep the samples' rays in the cache; a multiple of 64, so that packets are the same in any tile.
-    for first in range(0, len(edges), tile):
-        part = edges[first : first + tile]
-        mean = _sampled(job, mi.UInt32(part), mi.UInt32(reach[part].astype(np.uint32)), count)
-        picture[part] = np.asarray(mean)
+    for kind, factor in ((EDGE, 1), (CORNER, CORNER_FACTOR), (OUTLINE, 1)):
+        pixels = np.flatnonzero(reach == kind).astype(np.uint32)
+        # Numbers that the kernel must not know: it is compiled once.
+        count, kind_of_all = mi.UInt32(factor * samples), mi.UInt32(kind)
+        dr.make_opaque(count, kind_of_all)
+        for first in range(0, len(pixels), tile):
+            part = pixels[first : first + tile]
+            picture[part] = np.asarray(_sampled(job, mi.UInt32(part), kind_of_all, count))
     return picture.reshape(view.camera.height_px, view.camera.width_px)
 
 
@@ -288,20 +289,20 @@ def _once(job: _Job, pixel: Any) -> tuple[Any, Any]:
     reach = blur * dr.abs(dr.rcp(foot.depth) - 1 / view.focus_distance_m) + 0.75 + REACH_SIGMA * camera.psf_sigma_px
     near_x, near_y = _line_distance_px(board, foot)
     pad = [reach * dr.sqrt(_square(foot.per_px, k)) for k in range(2)]
-    edge = mi.Float(float(board.square_m))
     inside = [
-        (foot.point[k] > -edge - pad[k]) & (foot.point[k] < edge * (squares - 1) + pad[k])
+        (foot.point[k] > -board.square_m - pad[k]) & (foot.point[k] < board.square_m * (squares - 1) + pad[k])
         for k, squares in enumerate((board.columns, board.rows))
     ]
-    pattern = ((near_x < reach) | (near_y < reach)) & inside[0] & inside[1]
+    in_pattern = inside[0] & inside[1] & (foot.depth > 0)
+    edge = in_pattern & ((near_x < reach) | (near_y < reach))
+    corner = in_pattern & (near_x < reach) & (near_y < reach)
     near, within = mi.Bool(False), mi.Bool(True)
     for k in range(2):
         low, high = foot.point[k] - float(board.low_m[k]), float(board.high_m[k]) - foot.point[k]
         within &= (low > -pad[k]) & (high > -pad[k])
         near |= (low < pad[k]) | (high < pad[k])
-    outline = near & within & ~pattern
-    front = foot.depth > 0
-    kind = dr.select(front & pattern, mi.UInt32(PATTERN), dr.select(front & outline, mi.UInt32(OUTLINE), PLAIN))
+    outline = near & within & (foot.depth > 0) & ~edge
+    kind = dr.select(outline, mi.UInt32(OUTLINE), dr.select(corner, CORNER, dr.select(edge, EDGE, PLAIN)))
     return value, kind
 
 
@@ -309,7 +310,7 @@ def _sampled(job: _Job, pixel: Any, kind: Any, count: Any) -> Any:
     """Mean radiance over the pixel's box, the point spread and the aperture."""
     sampler = PixelSampler(pixel, job.key, pairs=3)
     foot = _footprint(job, pixel)
-    pattern = kind == PATTERN
+    pattern, corner = kind != OUTLINE, kind == CORNER
     near_x, near_y = _line_distance_px(job.board, foot)
     by_x = near_x < near_y
     # Unit vector across the nearest line, in the aperture's plane; the image axis that crosses it more steeply.
@@ -335,6 +336,8 @@ def _sampled(job: _Job, pixel: Any, kind: Any, count: Any) -> Any:
     def body(sample: Any, total: Any) -> tuple[Any, Any]:
         chord, first = sampler.pair(sample, 0)
         rest, second = sampler.pair(sample, 1)
+        # At a corner the aperture's two numbers belong together, along an edge what moves across it.
+        first, rest = dr.select(corner, rest, first), dr.select(corner, first, rest)
         # Place in the pixel, in undistorted coordinates.
         first, second = (
             dr.select(pattern, number - 0.5, filter_offset(job.filter, number)) for number in (first, second)
