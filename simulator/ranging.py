@@ -339,7 +339,7 @@ def _check(line: Line) -> None:
             where="ranging.turn_rate_deg_s",
             got=f"{points:.1f} points a scan at {far:g} m",
             expected=f"at least {MIN_POINTS}",
-            remedy=f"turn at {ranging.turn_rate_deg_s * points / MIN_POINTS:.2g} degrees a second or slower",
+            remedy=f"turn at {0.95 * ranging.turn_rate_deg_s * points / MIN_POINTS:.2g} degrees a second or slower",
         )
     step_m = math.radians(ranging.turn_rate_deg_s) / ranging.scan_rate_hz * far
     if step_m > ranging.panel_size_m / 3.0:

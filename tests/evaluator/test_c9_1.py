@@ -1,0 +1,459 @@
+"""Clause 9.1: formulas (9)-(15) by hand, and a ranging line written by hand: no simulator, no shared mathematics."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from campaign.errors import CampaignError
+from campaign.folder import CampaignFolder
+from campaign.ranging import (
+    RangingLine,
+    RangingPanel,
+    StationReading,
+    TotalStation,
+    scan_path,
+    scan_paths,
+)
+from campaign.scans import ScanPoints, read_scan, write_scan
+from evaluator.bench_model import RangingResult
+from evaluator.c9_1_lidar_ranging import (
+    corrected_range,
+    evaluate_ranging,
+    mean_range,
+    range_correction_constants,
+    ranging_rmse,
+    relative_rmse,
+)
+from evaluator.model import CampaignData, EvaluationError, RangingData
+from evaluator.total_station import corrected_slope_distance, group_refractive_index, meteorological_correction
+
+MM = 1e-3
+
+# ---- formulas by hand --------------------------------------------------------------------------------------------------
+
+
+def test_formulas_9_to_11_by_hand() -> None:
+    """Errors 3, -4, 0, 0, 0 mm: m_j = sqrt(25 / 5) mm = 2.236068 mm. True ranges 10 ... 50 m: mean 30 m; m_z = 0.00745356 %.
+
+    The mean is that of the true ranges, as (10) prints it: with the measured ones it were 29.9998 m. Tolerance: rounding.
+    """
+    truth = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
+    measured = truth + np.array([3.0, -4.0, 0.0, 0.0, 0.0]) * MM
+    assert ranging_rmse(measured, truth) == pytest.approx(np.sqrt(5.0) * MM, abs=1e-12)
+    assert mean_range(truth) == 30.0
+    assert relative_rmse(np.sqrt(5.0) * MM, 30.0) == pytest.approx(100 * np.sqrt(5.0) / 30_000.0, rel=1e-12)
+
+
+def test_formulas_13_and_14_by_hand() -> None:
+    """L = 10 ... 50 m, differences 1, 2, 3, 4, 6 mm.
+
+    Slope: sum of (-20, -10, 0, 10, 20)(-2.2, -1.2, -0.2, 0.8, 2.8) = 120 over 1000: R_2 = 0.12 mm/m; K_2 = 3.2 - 0.12 * 30
+    = -0.4 mm. Residuals 0.2, 0, -0.2, -0.4, 0.4 mm: sum of squares 0.4, variance 0.4 / 3; of R_2 that over 1000.
+    Tolerance: rounding at 50 m.
+    """
+    measured = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
+    k2, r2, covariance = range_correction_constants(measured, measured + np.array([1.0, 2.0, 3.0, 4.0, 6.0]) * MM)
+    assert k2 == pytest.approx(-0.4 * MM, abs=1e-12)
+    assert r2 == pytest.approx(0.12 * MM, abs=1e-13)
+    assert covariance[1, 1] == pytest.approx(0.4 / 3.0 * 1e-6 / 1000.0, rel=1e-6)
+    assert covariance[0, 0] == pytest.approx(0.4 / 3.0 * 1e-6 * (1 / 5 + 900.0 / 1000.0), rel=1e-6)
+
+
+def test_what_all_panels_share_goes_into_the_constant_alone() -> None:
+    """Rationale: the eccentricity's error shifts every distance alike; averaging over panels must not shrink it.
+
+    Expected: 2 mm common to all adds 4 mm2 to the variance of K_2, nothing to R_2, and changes neither estimate.
+    Tolerance: rounding.
+    """
+    measured = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
+    reference = measured + np.array([1.0, 2.0, 3.0, 4.0, 6.0]) * MM
+    own = np.eye(5) * MM**2
+    alone = range_correction_constants(measured, reference, own)
+    both = range_correction_constants(measured, reference, own + 4.0 * MM**2)
+    assert both[:2] == pytest.approx(alone[:2], abs=1e-10)
+    assert both[2][0, 0] - alone[2][0, 0] == pytest.approx(4.0 * MM**2, rel=1e-6)
+    assert both[2][1, 1] == pytest.approx(alone[2][1, 1], rel=1e-6)
+
+
+def test_a_panel_of_no_weight_does_not_count() -> None:
+    """Five panels on the line K_2 = 50 mm, R_2 = 2e-4, a sixth 1 m off but stated to be good to 1 km. Tolerance: 1e-6 m."""
+    measured = np.array([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
+    reference = measured * 1.0002 + 0.05
+    reference[5] += 1.0
+    k2, r2, _ = range_correction_constants(measured, reference, np.diag([1e-6] * 5 + [1e6]))
+    assert k2 == pytest.approx(0.05, abs=1e-6)
+    assert r2 == pytest.approx(2e-4, abs=1e-7)
+
+
+def test_formula_15_by_hand() -> None:
+    """100 m + 0.05 m + 2e-4 * 100 m = 100.07 m. Tolerance: rounding."""
+    assert corrected_range([100.0], 0.05, 2e-4) == pytest.approx([100.07], abs=1e-12)
+
+
+def test_total_station_by_hand() -> None:
+    """S = 200 m in dry air of 0 degrees and 1013.25 hPa at 1 um: n_g = 1.0002925701 (287.6155 + 4.8866 + 0.0680), n_0 = 1.0003:
+    dD = 200 * 7.4299e-6 / n_g = 1.485545 mm; K_1 = -1.4 mm, R_1 = 3e-6: D = 200 - 0.0014 + 0.0006 + 0.001485545 m.
+
+    Tolerance: 1e-9 m, the last digit above.
+    """
+    correction = meteorological_correction(200.0, 1.0003, group_refractive_index(1.0, 0.0, 1013.25, 0.0))
+    assert correction == pytest.approx(1.485545 * MM, abs=1e-9)
+    assert corrected_slope_distance(200.0, -1.4 * MM, 3e-6, correction) == pytest.approx(200.000685545, abs=1e-9)
+
+
+@pytest.mark.parametrize("bad", [[1.0, 2.0, 3.0, 4.0], [1.0, 2.0, 3.0, 4.0, np.nan], [[1.0] * 5] * 5])
+def test_formulas_refuse_what_they_cannot_average(bad: list) -> None:
+    """Four panels, NaN, a matrix: an EvaluationError that names the formula."""
+    with pytest.raises(EvaluationError, match=r"formula \(9\)"):
+        ranging_rmse(bad, bad)
+    with pytest.raises(EvaluationError, match=r"formula \(10\)"):
+        mean_range(bad)
+    with pytest.raises(EvaluationError, match=r"formula \(13\)"):
+        range_correction_constants(bad, bad)
+
+
+def test_one_distance_gives_no_scale() -> None:
+    with pytest.raises(EvaluationError, match="one distance"):
+        range_correction_constants([10.0, 10.1, 10.2, 10.0, 10.1], [10.0, 10.1, 10.2, 10.0, 10.1])
+    with pytest.raises(EvaluationError, match="covariance"):
+        range_correction_constants([10.0, 20.0, 30.0, 40.0, 50.0], [10.0, 20.0, 30.0, 40.0, 50.0], -np.eye(5))
+
+
+# ---- a line written by hand ------------------------------------------------------------------------------------------------
+
+SIZE_M = 1.2
+OFF_M = 0.31  # measured minus true, of the whole line
+ECCENTRICITY_M = np.array([0.4, -0.3, 0.1])
+AIR = (0.0, 1013.25, 0.0)  # at 1 um: n = 1.0002925701, worked out above
+INDEX = 1.0 + 292.5701e-6
+STATIONS = (
+    TotalStation(
+        name="A", class_mm=10.0, additive_constant_m=-1.4 * MM, scale=3e-6, reference_index=1.0003, wavelength_um=1.0,
+        serves=("correction",),
+    ),
+    TotalStation(
+        name="B", class_mm=5.0, additive_constant_m=0.6 * MM, scale=-1e-6, reference_index=1.0003, wavelength_um=1.0,
+        serves=("reference",),
+    ),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plate:
+    """A panel, or anything else flat, that faces the LiDAR."""
+
+    distance_m: float
+    azimuth_deg: float
+    elevation_deg: float = 0.0
+    width_m: float = SIZE_M
+    height_m: float = SIZE_M
+    turned_deg: float = 1.0  # its normal against the line of sight, about the vertical
+
+
+PLATES = tuple(
+    Plate(distance_m=d, azimuth_deg=a, elevation_deg=e)
+    for d, a, e in zip((12.0, 40.0, 70.0, 100.0, 130.0, 160.0), (5.0, -4.0, 1.0, -1.5, 9.0, -6.0), (0.0, 0.3, -0.2, 0.1, 0.2, 0))
+)  # fmt: skip
+
+
+def direction(azimuth_deg: float, elevation_deg: float) -> np.ndarray:
+    a, e = np.radians(azimuth_deg), np.radians(elevation_deg)
+    return np.array([np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)])
+
+
+def returns_from(plate: Plate, rng: np.random.Generator, noise_m: float) -> np.ndarray:
+    """(n, 3) points about the LiDAR's centre, true axes: beams on a grid of 8 cm, or of 2 cm on what is near."""
+    sight = direction(plate.azimuth_deg, plate.elevation_deg)
+    right = np.array([sight[1], -sight[0], 0.0]) / np.hypot(sight[0], sight[1])
+    up = np.cross(right, sight)
+    t = np.radians(plate.turned_deg)
+    across = np.cos(t) * right + np.sin(t) * sight
+    step = 0.08 if plate.distance_m > 20.0 else 0.02
+    u, v = np.meshgrid(
+        np.arange(-0.5 * plate.width_m, 0.5 * plate.width_m, step) + 0.5 * step,
+        np.arange(-0.5 * plate.height_m, 0.5 * plate.height_m, step) + 0.5 * step,
+    )
+    point = plate.distance_m * sight + u.reshape(-1, 1) * across + v.reshape(-1, 1) * up
+    true = np.linalg.norm(point, axis=1)
+    measured = true + OFF_M + noise_m * rng.standard_normal(len(true))
+    return point * (measured / true)[:, None]
+
+
+def some_rotation() -> np.ndarray:
+    """Of an instrument that lies on its side: no axis near level."""
+    q, _ = np.linalg.qr(np.array([[0.2, -0.9, 0.4], [0.7, 0.1, -0.6], [-0.5, -0.3, -0.9]]))
+    return q * np.sign(np.linalg.det(q))
+
+
+def points(xyz_m: np.ndarray, amplitude: float = 200.0) -> ScanPoints:
+    n = len(xyz_m)
+    return ScanPoints(
+        xyz_m=xyz_m,
+        gps_time_s=np.linspace(100.0, 108.0, n),
+        intensity=np.full(n, 3200, np.uint16),
+        amplitude=np.full(n, amplitude, np.float32),
+        pulse_width_ns=np.full(n, 4.3, np.float32),
+        reflectance_db=np.zeros(n, np.float32),
+        return_number=np.ones(n, np.uint8),
+        number_of_returns=np.ones(n, np.uint8),
+    )
+
+
+def readings_by_hand(plates: tuple[Plate, ...], rng: np.random.Generator, count: int = 5) -> list[StationReading]:
+    """Inverted by hand: S = (D - K_1) / (R_1 + n_0 / n_g). Noise: 1 mm."""
+    out = []
+    for station in STATIONS:
+        for number, plate in enumerate(plates, start=1):
+            sight = plate.distance_m * direction(plate.azimuth_deg, plate.elevation_deg) + ECCENTRICITY_M
+            for observation in range(1, count + 1):
+                distance = float(np.linalg.norm(sight)) + MM * rng.standard_normal()
+                slope = (distance - station.additive_constant_m) / (station.scale + 1.0003 / INDEX)
+                out.append(
+                    StationReading(
+                        station=station.name,
+                        panel=f"R{number:02d}",
+                        observation=observation,
+                        slope_distance_m=slope,
+                        horizontal_angle_deg=float(np.degrees(np.arctan2(sight[0], sight[1]))),
+                        zenith_angle_deg=float(np.degrees(np.arccos(sight[2] / np.linalg.norm(sight)))),
+                        temperature_c=AIR[0],
+                        pressure_hpa=AIR[1],
+                        relative_humidity_percent=AIR[2],
+                    )
+                )
+    return out
+
+
+class Line:
+    """A ranging line in a folder, any part of which a test replaces."""
+
+    def __init__(self, data: CampaignData, plates: tuple[Plate, ...] = PLATES, clutter: tuple[Plate, ...] = ()) -> None:
+        rng = np.random.default_rng(3)
+        self.data = data
+        self.scans = [
+            np.concatenate([returns_from(p, rng, 3 * MM) for p in (*plates, *clutter)]) @ some_rotation().T
+            for _ in range(5)
+        ]
+        self.readings = readings_by_hand(plates, rng)
+        self.line = RangingLine(
+            stations=STATIONS,
+            panels=tuple(RangingPanel(id=f"R{k + 1:02d}", size_m=SIZE_M) for k in range(len(plates))),
+            eccentricity_m=(0.4, -0.3, 0.1),
+            eccentricity_std_m=0.0005,
+        )
+
+    def evaluate(self, line: RangingLine | None = None) -> RangingResult:
+        for number, xyz in enumerate(self.scans, start=1):
+            write_scan(
+                scan_path(self.data.folder, number),
+                points(xyz),
+                number=number,
+                creation_date="2026-06-11",
+                system_identifier="by hand",
+            )
+        return self.as_it_stands(line)
+
+    def as_it_stands(self, line: RangingLine | None = None) -> RangingResult:
+        ranging = RangingData(
+            line=line or self.line,
+            readings=tuple(self.readings),
+            scans=tuple(scan_paths(self.data.folder).items()),
+        )
+        return evaluate_ranging(replace(self.data, ranging=ranging), lambda *_: None)
+
+
+@pytest.fixture
+def line(bare_data: CampaignData, tmp_path: Path) -> Line:
+    return Line(replace(bare_data, folder=CampaignFolder(tmp_path)))
+
+
+def test_constants_from_a_line_by_hand(line: Line) -> None:
+    """Rationale: measured = true + 0.31 m, the instrument on its side, its beams an inch apart: the evaluator must find the
+    panels by the total station's distances alone.
+
+    Expected: K_2 = -0.31 m, R_2 = 0, both within 3.5 of their standard deviations, which the noise (1 mm of 5 readings, 3 mm
+    of hundreds of points) holds below 1.2 mm and 1e-5; m_z before is 0.31 m over 85.333 m = 0.3633 %, after the noise.
+    Tolerance: 3.5 sigma is 1 in 2000, for one seed; before: 1 mm of 0.31 m.
+    """
+    result = line.evaluate()
+    value = result.indicator
+    assert result.covariance is not None and value.value is not None, value.reason
+    k2_std, r2_std = np.sqrt(np.diag(result.covariance))
+    assert result.additive_constant_m == pytest.approx(-OFF_M, abs=3.5 * k2_std)
+    assert result.multiplication_constant == pytest.approx(0.0, abs=3.5 * r2_std)
+    assert 0.3 * MM < k2_std < 1.2 * MM and r2_std < 1e-5
+    assert value.companions["relative_rmse_before_percent"] == pytest.approx(100 * OFF_M / 85.3333, rel=4e-3)
+    assert value.value < 100 * 1.5 * MM / 85.3
+    assert value.std is not None and 0 < value.std < value.value * 3
+    assert value.sample_size == 6
+    assert [p.scans for p in result.panels] == [5] * 6
+    assert value.companions["scan_duration_s"] == pytest.approx(8.0, abs=0.1)
+
+
+def test_walls_at_the_same_distances_are_no_panels(bare_data: CampaignData, tmp_path: Path) -> None:
+    """Rationale: in a field there are walls and fences at the panels' distances.
+
+    Expected: two walls, and a board of the panel's size at a wrong angle, change nothing but the search.
+    Tolerance: as above.
+    """
+    clutter = (
+        Plate(distance_m=70.0, azimuth_deg=30.0, width_m=6.0, height_m=4.0, turned_deg=0.0),
+        Plate(distance_m=130.0, azimuth_deg=-40.0, width_m=9.0, height_m=3.0),
+        Plate(distance_m=100.1, azimuth_deg=55.0),
+        Plate(distance_m=40.05, azimuth_deg=-60.0),
+    )
+    result = Line(replace(bare_data, folder=CampaignFolder(tmp_path)), clutter=clutter).evaluate()
+    assert result.covariance is not None, result.indicator.reason
+    assert len(result.panels) == 6 and not result.not_used
+    assert result.additive_constant_m == pytest.approx(-OFF_M, abs=3.5 * np.sqrt(result.covariance[0, 0]))
+
+
+def test_a_reading_without_a_value_is_left_out_and_named(line: Line) -> None:
+    """Expected: no air pressure in one row, no distance in another: both named, four readings counted, the rest goes on."""
+    line.readings[2] = replace(line.readings[2], pressure_hpa=None)
+    line.readings[31] = replace(line.readings[31], slope_distance_m=None)
+    result = line.evaluate()
+    assert result.indicator.value is not None, result.indicator.reason
+    left_out, notes = (result.indicator.companions[k] for k in ("left_out", "notes"))
+    assert left_out == ["A R01 observation 3: no pressure_hpa", "B R01 observation 2: no slope_distance_m"]
+    assert isinstance(notes, list) and "R01: 4 readings of A, 9.1.2 asks for 5" in notes
+    assert (result.panels[0].correction_readings, result.panels[0].reference_readings) == (4, 4)
+
+
+def test_a_wrong_reading_is_left_out_and_named(line: Line) -> None:
+    """A reading 1 m off its four sisters moves nothing: ten times the 10 mm class is the most that is believed."""
+    slope = line.readings[5].slope_distance_m
+    assert slope is not None
+    line.readings[5] = replace(line.readings[5], slope_distance_m=slope + 1.0)
+    result = line.evaluate()
+    assert result.panels[1].correction_readings == 4
+    assert "from the median" in str(result.indicator.companions["left_out"])
+    assert result.additive_constant_m == pytest.approx(-OFF_M, abs=4 * MM)
+
+
+def test_four_panels_are_too_few(bare_data: CampaignData, tmp_path: Path) -> None:
+    """Expected: not measured, with the count; what was found stands among the companions."""
+    result = Line(replace(bare_data, folder=CampaignFolder(tmp_path)), plates=PLATES[:4]).evaluate()
+    assert result.indicator.value is None
+    assert result.indicator.reason == "too few panels of the ranging line are measured; got 4; expected at least 5"
+    rows = result.indicator.companions["panels"]
+    assert isinstance(rows, list)
+    assert [r["lidar_m"] for r in rows] == pytest.approx([p.distance_m + OFF_M for p in PLATES[:4]], abs=3 * MM)
+    assert result.additive_constant_m is None
+
+
+def test_a_panel_that_no_scan_shows_is_named(line: Line) -> None:
+    """R04 at 100 m is taken away: five panels are left, and a reason stands beside the sixth."""
+    line.scans = [xyz[np.abs(np.linalg.norm(xyz, axis=1) - 100.3) > 2.0] for xyz in line.scans]
+    result = line.evaluate()
+    assert result.indicator.sample_size == 5
+    assert list(result.not_used) == ["R04"] and "scan_01.laz" in result.not_used["R04"]
+
+
+def test_a_scan_in_millimetres_is_recognised(line: Line) -> None:
+    """Expected: a reason that says so."""
+    line.scans = [xyz * 1000.0 for xyz in line.scans]
+    result = line.evaluate()
+    assert result.indicator.value is None
+    assert "looks like millimetres" in str(result.indicator.reason)
+
+
+def test_a_broken_scan_is_named_and_the_others_serve(line: Line, tmp_path: Path) -> None:
+    """Expected: four scans, a note at each panel, the broken file named without the folder's path."""
+    line.evaluate()
+    path = scan_path(line.data.folder, 2)
+    path.write_bytes(path.read_bytes()[:700])
+    result = line.as_it_stands()
+    assert result.indicator.value is not None
+    assert [p.scans for p in result.panels] == [4] * 6
+    text = json.dumps(result.indicator.companions, allow_nan=False)
+    assert "ranging/scans/scan_02.laz" in text and str(tmp_path) not in text
+    assert "R01: 4 scans, 9.1.2 asks for 5" in text
+
+
+def test_stations(line: Line) -> None:
+    """Expected: nobody for 9.1.2 k: a reason; a station that no line.json knows: left out; classes too poor: noted."""
+    line.readings.append(replace(line.readings[0], station="C"))
+    poor = line.line.model_copy(update={"stations": (STATIONS[0], STATIONS[1].model_copy(update={"class_mm": 6.0}))})
+    companions = line.evaluate(poor).indicator.companions
+    assert companions["left_out"] == ["station C: stands in no line.json (1 readings left out)"]
+    assert companions["notes"] == ["B is of the 6 mm class, 9.1.2 k asks for 5 mm"]
+    lonely = line.line.model_copy(update={"stations": STATIONS[:1]})
+    assert "serves 'reference' (9.1.2 k)" in str(line.as_it_stands(lonely).indicator.reason)
+
+
+@pytest.mark.parametrize("what", ["line", "readings", "scans"])
+def test_a_missing_part_is_a_reason(line: Line, what: str) -> None:
+    line.evaluate()
+    ranging = RangingData(
+        line=None if what == "line" else line.line,
+        readings=() if what == "readings" else tuple(line.readings),
+        scans=() if what == "scans" else tuple(scan_paths(line.data.folder).items()),
+    )
+    result = evaluate_ranging(replace(line.data, ranging=ranging), lambda *_: None)
+    expected = {"line": "line.json", "readings": "no usable reading", "scans": "no scan"}[what]
+    assert result.indicator.value is None and expected in str(result.indicator.reason)
+
+
+def test_one_station_may_serve_both(line: Line) -> None:
+    """Rationale: one instrument of the 5 mm class serves both steps: then m_z is the scatter of its own fit, with n - 2
+    degrees of freedom, and K_2's error cancels. Expected: the standard error foreseen is smaller than the readings' alone.
+    """
+    both = line.line.model_copy(
+        update={"stations": (STATIONS[1].model_copy(update={"serves": ("correction", "reference")}),)}
+    )
+    line.readings = [r for r in line.readings if r.station == "B"]
+    result = line.evaluate(both)
+    companions = result.indicator.companions
+    reading = companions["reading_std_m"]
+    assert isinstance(reading, dict)
+    expected = companions["expected_rmse_m"]
+    assert isinstance(expected, float)
+    assert 0.3 < expected / (reading["reference"] / np.sqrt(5.0)) < 1.1
+
+
+# ---- the scans' files --------------------------------------------------------------------------------------------------------
+
+
+def test_scan_file_round_trip(tmp_path: Path) -> None:
+    """Every field returns, coordinates to half of 0.1 mm; `keep` chooses."""
+    rng = np.random.default_rng(1)
+    written = replace(
+        points(rng.uniform(-200, 200, (1000, 3))), intensity=rng.integers(0, 65535, 1000).astype(np.uint16)
+    )
+    write_scan(tmp_path / "s.laz", written, number=3, creation_date="2026-06-11", system_identifier="x")
+    read = read_scan(tmp_path / "s.laz")
+    assert np.abs(read.xyz_m - written.xyz_m).max() <= 0.5001e-4
+    for name in ("gps_time_s", "intensity", "amplitude", "pulse_width_ns", "reflectance_db", "return_number"):
+        assert np.array_equal(getattr(read, name), getattr(written, name)), name
+    east = read_scan(tmp_path / "s.laz", lambda xyz: xyz[:, 0] > 0)
+    assert np.array_equal(east.xyz_m, read.xyz_m[read.xyz_m[:, 0] > 0])
+
+
+def test_scan_file_says_that_its_axes_are_its_own(tmp_path: Path) -> None:
+    """LAS 1.4, PDRF 6, LAZ, WKT bit and a local CRS that a reader parses; no map projection."""
+    import laspy
+    import pyproj
+
+    write_scan(tmp_path / "s.laz", points(np.ones((5, 3))), number=1, creation_date="2026-06-11", system_identifier="x")
+    with laspy.open(tmp_path / "s.laz") as file:
+        header = file.header
+        assert (str(header.version), header.point_format.id, header.are_points_compressed) == ("1.4", 6, True)
+        assert header.global_encoding.wkt
+        wkt = next(v for v in header.vlrs if v.record_id == 2112).string
+    assert pyproj.CRS.from_wkt(wkt.rstrip("\0")).type_name == "Engineering CRS"
+
+
+def test_a_point_out_of_reach_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(CampaignError, match="too far"):
+        write_scan(
+            tmp_path / "s.laz",
+            points(np.full((1, 3), 3e5)),
+            number=1,
+            creation_date="2026-06-11",
+            system_identifier="x",
+        )
+    assert not list(tmp_path.iterdir())
