@@ -1,7 +1,8 @@
 """8.2 optical radiometric performance: stability RSD, formulas (3)-(5), and repeatability s(x), formula (6).
 
 Holds the formulas, the two indicators and what stands beside them. How the central pixels get out of an image:
-`observe/sphere_images.py`. Whether a series was taken as 8.2.2 says: `conformity/`. Grades: 10.1's module.
+`observe/sphere_images.py`. The trend of a series: `series_trend.py`. Whether a series was taken as 8.2.2 says:
+`conformity/`. Grades: 10.1's module.
 """
 
 from collections import Counter
@@ -18,6 +19,7 @@ from evaluator.load import in_folder
 from evaluator.model import CampaignData, EvaluationError
 from evaluator.observe.sphere_images import CentralPixels, central_pixels
 from evaluator.results_model import IndicatorValue, not_measured
+from evaluator.series_trend import first_third, trend
 
 MIN_IMAGES = 3
 WARM_UP_S = 1200.0  # 8.2.2.1 c and 8.2.2.2 c
@@ -159,53 +161,6 @@ def _relative(name: str, dn: object) -> float:
     if mean <= 0.0:
         raise EvaluationError(f"{name}: the mean is not above the black level", got=f"{mean:g} DN")
     return 100.0 * float(np.std(values, ddof=1)) / mean
-
-
-@dataclass(frozen=True, kw_only=True)
-class Trend:
-    """Straight line through a series, relative to its mean."""
-
-    percent_per_h: float
-    std_percent_per_h: float
-    p_value: float  # two-sided, of no trend
-
-
-def trend(time_s: np.ndarray, dn: np.ndarray) -> Trend | None:
-    """Slope of a series by least squares, with Student's t for its significance.
-
-    Parameters
-    ----------
-    time_s : (n,) ndarray
-        [s]
-    dn : (n,) ndarray
-        [DN]
-
-    Returns
-    -------
-    Trend or None
-        None for fewer than three images or a mean that is not positive.
-    """
-    fit = _regress(np.column_stack([np.ones(len(time_s)), np.asarray(time_s, float) / 3600.0]), dn)
-    return None if fit is None else Trend(percent_per_h=fit[0], std_percent_per_h=fit[1], p_value=fit[2])
-
-
-def _regress(design: np.ndarray, dn: np.ndarray) -> tuple[float, float, float] | None:
-    """Last coefficient in percent of the mean, its standard deviation, and the probability of at least that by chance."""
-    n, k = design.shape
-    mean = float(np.mean(dn))
-    if n <= k or mean <= 0.0 or np.linalg.matrix_rank(design) < k:
-        return None
-    relative = 100.0 * np.asarray(dn, float) / mean
-    # About the means: the numbers that are left are as small as the effect.
-    centred = design[:, 1:] - design[:, 1:].mean(axis=0)
-    found, *_ = np.linalg.lstsq(centred, relative - relative.mean(), rcond=None)
-    rest = relative - relative.mean() - centred @ found
-    variance = float(rest @ rest) / (n - k) * np.linalg.inv(centred.T @ centred)[-1, -1]
-    std = float(np.sqrt(variance))
-    value = float(found[-1])
-    if std == 0.0:
-        return value, 0.0, 1.0 if value == 0.0 else 0.0
-    return value, std, float(2.0 * stats.t.sf(abs(value) / std, n - k))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -390,12 +345,10 @@ def _trend_companions(series: SphereSeries) -> dict[str, object]:
         "trend_p_value": None if line is None else line.p_value,
         "trend_significant": None if line is None else line.p_value < SIGNIFICANT,
     }
-    first = np.arange(len(common)) < len(common) // 3
-    # What the first third lacks against the straight line through the rest: a lamp or a camera that had not settled.
-    step = _regress(np.column_stack([np.ones(len(common)), series.time_s / 3600.0, first]), common)
-    out["first_third_percent"] = None if step is None else step[0]
-    out["first_third_std_percent"] = None if step is None else step[1]
-    out["settled"] = None if step is None else step[2] >= UNSETTLED
+    settled = first_third(series.time_s, common)
+    out["first_third_percent"] = None if settled is None else settled[0]
+    out["first_third_std_percent"] = None if settled is None else settled[1]
+    out["settled"] = None if settled is None else settled[2] >= UNSETTLED
     return out
 
 

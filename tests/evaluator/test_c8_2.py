@@ -21,10 +21,10 @@ from evaluator.c8_2_camera_radiometry import (
     repeatability,
     stability_rsd,
     standard_deviation_dn,
-    trend,
 )
 from evaluator.load import load_campaign
 from evaluator.model import EvaluationError
+from evaluator.series_trend import first_third, trend
 
 LEVELS = np.array([4000.0, 3000.0, 2000.0])  # red, green, blue above black
 BLACK = 256
@@ -158,6 +158,25 @@ def test_trend_of_a_line() -> None:
     assert found.std_percent_per_h == pytest.approx(np.sqrt(0.06 / 0.5), rel=1e-9)
     assert found.p_value == pytest.approx(1 - 2 * np.arctan(2.0 / np.sqrt(0.12)) / np.pi, rel=1e-9)
     assert trend(t[:2], dn[:2]) is None
+
+
+def test_first_third_against_the_rest() -> None:
+    """Rationale: nine images, the last six on a line with residuals of +-0.1 %, the first three 1 % above that line.
+
+    Expected: 1 % above; residuals (1, -1, -1, 1) would be orthogonal to a line of four: with six, (1, -1, 0, 0, -1, 1) is, so
+    sum of squares 0.04 %^2 over 4 degrees, s = 0.1 %; the three stand 4.5 steps ahead of the six' middle, sum t^2 = 17.5:
+    std = 0.1 sqrt(1/3 + 1/6 + 4.5^2 / 17.5) = 0.12869 %. Eight images give nothing.
+    Tolerance: 1e-4: percent of the six' mean.
+    """
+    t = 180.0 * np.arange(9)
+    dn = 1000.0 + 0.0 * t
+    dn[:3] *= 1.01
+    dn[3:] *= 1 + 0.001 * np.array([1, -1, 0, 0, -1, 1])
+    found = first_third(t, dn)
+    assert found is not None
+    assert found[:2] == pytest.approx((1.0, 0.1 * np.sqrt(0.5 + 4.5**2 / 17.5)), rel=1e-4)
+    assert 0 < found[2] < 0.01
+    assert first_third(t[:8], dn[:8]) is None
 
 
 def test_worst_channel_counts(place: CampaignFolder) -> None:
