@@ -2,9 +2,9 @@
 
 Estimates come from results.json alone. Beside the block `mounting` these companions of the indicators are read:
 
-camera_reprojection_error    `names` (fx_px fy_px cx_px cy_px k1 k2 k3 p1 p2), `estimates`, `std`: three lists of one length;
-                             `image_size_px` (width, height) and `coverage` (corners in each cell: positions, rows, columns)
-                             bound the map of the distortion's error
+camera_reprojection_error    `parameters` or `names` (fx_px fy_px cx_px cy_px k1 k2 k3 p1 p2), `estimates`, `std`: three lists of
+                             one length; `image_size_px` (width, height) and, where given, `coverage_counts` (corners in each
+                             cell: positions, rows, columns) bound the map of the distortion's error
 lidar_ranging_rmse_relative  `additive_constant_m`, `additive_constant_std_m`, `multiplication_constant`,
                              `multiplication_constant_std`
 camera_stability             `trend_percent_per_h`, `trend_std_percent_per_h`
@@ -144,9 +144,10 @@ def _bench_estimates(results: dict[str, Any], where: str) -> dict[str, tuple[str
     """Quantity -> unit, estimate, standard deviation of benches and ranging line, from the indicators' companions."""
     found: dict[str, tuple[str, float, float]] = {}
     camera = _companions(results, "camera_reprojection_error")
-    if camera.get("names") is not None and camera.get("estimates") is not None:
-        names = camera["names"] if isinstance(camera["names"], list) else []
-        block = camera | {"units": ["px" if str(n).endswith("_px") else "1" for n in names]}
+    names = camera.get("names", camera.get("parameters"))
+    if names is not None and camera.get("estimates") is not None:
+        units = ["px" if str(n).endswith("_px") else "1" for n in names] if isinstance(names, list) else None
+        block = camera | {"names": names, "units": units}
         lens = _estimates(block, f"{where}: camera_reprojection_error")
         found |= {f"camera_{name}": lens[name] for name in LENS_NAMES if name in lens}
     single = (
@@ -240,7 +241,7 @@ def _map_items(results: dict[str, Any], truth: Truth, where: str) -> list[ScoreI
     try:
         estimated = lens_from_vector(np.array([lens[name][1] for name in _LENS_QUANTITIES]))
         width, height = (int(n) for n in companions["image_size_px"])
-        coverage = companions.get("coverage")
+        coverage = companions.get("coverage_counts")
         cells = None if coverage is None else np.array(coverage, dtype=float).sum(axis=0)
         if (
             not 0 < width <= 65_000

@@ -633,11 +633,12 @@ def chessboard_result() -> ChessboardResult:
         sample_size=24,
         std=0.0005,
         companions={
-            "names": list(LENS_NAMES),
+            "parameters": list(LENS_NAMES),
             "estimates": estimates.tolist(),
             "std": std.tolist(),
             "image_size_px": [WIDTH, HEIGHT],
-            "coverage": cells.tolist(),
+            "coverage": 1.0,
+            "coverage_counts": cells.tolist(),
         },
     )
     return ChessboardResult(

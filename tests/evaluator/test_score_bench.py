@@ -124,6 +124,20 @@ def test_indicators_without_estimates(scored: Make) -> None:
     assert scored(spoil).items == ()
 
 
+def test_names_and_the_covered_cells(scored: Make) -> None:
+    """Rationale: the list of parameters may be called `names`, and counts that are no table cannot bound a map. Expected: the same
+    z of the parameters, no map."""
+
+    def spoil(indicators: dict[str, Any]) -> None:
+        companions = indicators["camera_reprojection_error"]["companions"]
+        companions["names"] = companions.pop("parameters")
+        companions["coverage_counts"] = 0.9
+
+    items = {i.quantity: i for i in scored(spoil).items}
+    assert items["camera_fx_px"].z == pytest.approx(1.0, abs=1e-6)
+    assert not set(MAP) & set(items)
+
+
 def test_no_image_size_no_map(scored: Make) -> None:
     """Rationale: parameters are scored also where no map can be drawn. Expected: nine items of the lens, no map."""
 
@@ -140,6 +154,7 @@ def test_no_image_size_no_map(scored: Make) -> None:
         ("camera_reprojection_error", "std", [0.1]),
         ("camera_reprojection_error", "estimates", ["a"] * 9),
         ("camera_reprojection_error", "names", 7),
+        ("camera_reprojection_error", "parameters", ["fx_px"]),
         ("camera_reprojection_error", "std", [-1.0] * 9),
         ("lidar_ranging_rmse_relative", "additive_constant_m", "5 cm"),
         ("camera_stability", "trend_std_percent_per_h", -1.0),
