@@ -435,7 +435,7 @@ def test_scan_file_round_trip(tmp_path: Path) -> None:
 
 def test_scan_file_says_that_its_axes_are_its_own(tmp_path: Path) -> None:
     """LAS 1.4, PDRF 6, LAZ, WKT bit and a local CRS that a reader parses; no map projection."""
-    import laspy
+    import laspy  # type: ignore[import-untyped]
     import pyproj
 
     write_scan(tmp_path / "s.laz", points(np.ones((5, 3))), number=1, creation_date="2026-06-11", system_identifier="x")
