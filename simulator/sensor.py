@@ -69,7 +69,9 @@ def middle_window(camera: Camera, size_px: tuple[int, int] | None) -> Window:
 
 
 def window_pattern(pattern: FixedPattern, window: Window) -> FixedPattern:
-    """The fixed pattern of a window, copied, so that the whole sensor's can be let go."""
+    """The fixed pattern of a window, copied, so that the whole sensor's can be let go; of the whole sensor, itself."""
+    if pattern.prnu.shape[:2] == (window.height_px, window.width_px):
+        return pattern
     return FixedPattern(prnu=pattern.prnu[window.cut].copy(), dsnu_e=pattern.dsnu_e[window.cut].copy())
 
 
