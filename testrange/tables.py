@@ -22,7 +22,10 @@ _COLOUR: dict[Grade, str] = {
 }
 
 
-_SHORT = {"reflectance_rmse_relative": "LiDAR/camera reflectance RMSE"}  # where the full name is wider than its column
+_SHORT = {  # where the full name is wider than its column
+    "reflectance_rmse_relative": "LiDAR/camera reflectance RMSE",
+    "camera_reprojection_error": "Camera reprojection error",
+}
 
 
 def console(stream: TextIO | None = None) -> Console:
@@ -53,7 +56,9 @@ def print_indicators(evaluation: Evaluation, out: Console) -> None:
         if found.value is None:
             table.add_row(name, row.name_zh, "–", "", "", grade)
             continue
-        interval = "" if found.low_95 is None or found.high_95 is None else f"{found.low_95:.3g} – {found.high_95:.3g}"
+        digits = shown_decimals(found.value, row.unit)
+        known = found.low_95 is not None and found.high_95 is not None
+        interval = f"{found.low_95:.{digits}f} – {found.high_95:.{digits}f}" if known else ""
         table.add_row(name, row.name_zh, _figure(found.value, row.unit), interval, str(found.sample_size), grade)
     out.print(table)
     reasons: dict[str, list[str]] = {}
