@@ -140,7 +140,7 @@ def _smooth_map(uv: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, np.ndarra
     board = (grid - centre) / half
     h, _ = cv2.findHomography(board[good], uv[good], 0)
     count = int(good.sum())
-    degree = next((d for d in (5, 4, 3) if 2 * (d + 1) * (d + 2) <= count), 2)
+    degree = next((d for d in (5, 4, 3) if 5 * (d + 1) * (d + 2) <= 4 * count), 2)  # 2.5 corners a coefficient
 
     def homography(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         p = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.asarray(h).T
@@ -276,13 +276,15 @@ def find_corners(
         raise EvaluationError(
             "corners cannot be fitted", got=f"{int((~good).sum())} of {good.size}", remedy="blurred or hidden squares"
         )
+    # Light that falls off across the board is blurred with the pattern, which moves every edge by s^2 d(ln contrast)/dx.
+    uv = theta[..., :2] + np.mean(theta[..., 4:6] ** 2, axis=-1, keepdims=True) * theta[..., 10:12] / theta[..., 9:10]
     parity = 1 - 2 * (np.add.outer(np.arange(rows), np.arange(columns)) % 2)
     level = np.median((theta[..., 9] * parity)[good])
     residual = theta[..., 12][good]
     return BoardCorners(
         columns=columns,
         rows=rows,
-        uv_px=np.where(good[..., None], theta[..., :2], np.nan).reshape(-1, 2),
+        uv_px=np.where(good[..., None], uv, np.nan).reshape(-1, 2),
         covariance_px2=covariance.reshape(-1, 2, 2),
         light_first_square=bool(level > 0.0),
         square_px=float(np.median(np.concatenate([np.linalg.norm(along, axis=-1), np.linalg.norm(down, axis=-1)]))),
@@ -305,11 +307,13 @@ def _fit(
     """theta (rows, columns, 13: `fit_saddles`' and the residuals' RMS), covariance (rows, columns, 2, 2), good (rows, columns)."""
     rows, columns = uv.shape[:2]
     start = np.concatenate([uv, _normal_angles(along, down), np.full((rows, columns, 2), blur)], axis=-1)
+    border = np.minimum(uv, np.array(grey.shape[::-1]) - uv).min(axis=-1) - 1.0  # the window stays inside the picture
+    radius = np.minimum(np.clip(radius, _LEAST_RADIUS_PX, _MOST_RADIUS_PX), border)
     theta, covariance, noise, converged = fit_saddles(
         grey,
         np.ascontiguousarray(start.reshape(-1, 6)),
         np.ascontiguousarray(bend.reshape(-1, 2)),
-        np.clip(radius, _LEAST_RADIUS_PX, _MOST_RADIUS_PX).ravel(),
+        np.where(radius >= _LEAST_RADIUS_PX, radius, 0.0).ravel(),
     )
     moved = np.linalg.norm(theta[:, :2] - start.reshape(-1, 6)[:, :2], axis=1)
     parity = (1 - 2 * (np.add.outer(np.arange(rows), np.arange(columns)) % 2)).ravel()

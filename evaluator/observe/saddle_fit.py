@@ -9,8 +9,8 @@ Model of a pixel at (x, y) from the corner:
     d_i = n_i . (x, y) - c_i (t_i . (x, y))^2 / 2
 
 with the edges' normals n_i and tangents t_i, blurs s_i, and curvatures c_i that are given (a lens bends the edges; a straight
-line fitted to a bent edge misses the corner by c w^2 / 6 for a window of half-width w). Light, its slope and the shape of a
-symmetric blur move nothing: the model is even about the corner.
+line fitted to a bent edge misses the corner by c w^2 / 6 for a window of half-width w). Levels and the shape of a symmetric blur
+move nothing: the model is even about the corner.
 """
 
 import math
