@@ -88,10 +88,10 @@ def true_values(truth: Truth, rig: Rig | None) -> dict[str, float]:
     if truth.bench is not None and truth.bench.lens is not None:
         values |= dict(zip(_LENS_QUANTITIES, lens_vector(truth.bench.lens).tolist()))
     if truth.bench is not None and truth.bench.drift_percent_per_h is not None:
-        values["lamp_drift"] = truth.bench.drift_percent_per_h
+        values["lamp_drift"] = truth.bench.drift_percent_per_h + 0.0
     if truth.ranging is not None:
-        values["ranging_additive_constant"] = truth.ranging.additive_constant_m
-        values["ranging_multiplication_constant"] = truth.ranging.multiplication_constant
+        values["ranging_additive_constant"] = truth.ranging.additive_constant_m + 0.0  # no minus zero
+        values["ranging_multiplication_constant"] = truth.ranging.multiplication_constant + 0.0
     if rig is None:
         return values
     for sensor, mounting in (("camera", truth.camera), ("lidar", truth.lidar)):

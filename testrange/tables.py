@@ -56,9 +56,8 @@ def print_indicators(evaluation: Evaluation, out: Console) -> None:
         if found.value is None:
             table.add_row(name, row.name_zh, "–", "", "", grade)
             continue
-        digits = shown_decimals(found.value, row.unit)
-        known = found.low_95 is not None and found.high_95 is not None
-        interval = f"{found.low_95:.{digits}f} – {found.high_95:.{digits}f}" if known else ""
+        bounds = [f"{v:.{shown_decimals(v, row.unit)}f}" for v in (found.low_95, found.high_95) if v is not None]
+        interval = " – ".join(bounds) if len(bounds) == 2 else ""
         table.add_row(name, row.name_zh, _figure(found.value, row.unit), interval, str(found.sample_size), grade)
     out.print(table)
     reasons: dict[str, list[str]] = {}

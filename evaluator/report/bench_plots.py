@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from evaluator.bench_model import BoardImage, ChessboardResult, RangingResult, SphereResult, SphereSeries
 from evaluator.camera_model import LENS_NAMES, undistort
@@ -14,6 +15,7 @@ _GREY = "#6b7280"
 _BAND_COLOURS = {"red": "#c0392b", "green": "#2e8b57", "blue": "#1b6ca8"}
 _VECTORS = 900  # drawn at most; all are in the means and in the scatter
 _MAP_STEPS = 60
+_CORNERS_OF_A_MEAN = 5  # fewer are noise, not a mean
 
 
 def _colour(index: int) -> str:
@@ -102,7 +104,7 @@ def _cell_means(observed: np.ndarray, shift: np.ndarray, size: tuple[float, floa
     index = cell[:, 1] * shape[0] + cell[:, 0]
     count = np.bincount(index, minlength=int(shape.prod()))
     total = np.stack([np.bincount(index, s, minlength=int(shape.prod())) for s in shift.T], axis=1)
-    seen = count > 0
+    seen = count >= _CORNERS_OF_A_MEAN
     centre = np.stack([np.arange(count.size) % shape[0], np.arange(count.size) // shape[0]], axis=1) + 0.5
     return (centre / shape * size)[seen], total[seen] / count[seen, None]
 
@@ -115,7 +117,7 @@ def board_residuals(result: ChessboardResult) -> Figure | None:
     size = _size(result)
     keep = np.linspace(0, len(observed) - 1, min(len(observed), _VECTORS)).astype(int)
     length = np.hypot(*shift.T)
-    magnify = 0.02 * size[0] / max(float(np.median(length)), 1e-9)
+    magnify = float(f"{0.02 * size[0] / max(float(np.median(length)), 1e-9):.2g}")
     drawn = figure(5.3, 6.6)
     upper, lower = drawn.subplots(2, 1, height_ratios=(1, 1))
     _frame(upper, size)
@@ -134,6 +136,7 @@ def board_residuals(result: ChessboardResult) -> Figure | None:
         lower.plot(*shift[of].T, ".", ms=2, color=_colour(int(p)), alpha=0.5, label=at, rasterized=True)
     lower.set(xlim=(-reach, reach), ylim=(reach, -reach), aspect="equal", xlabel="Δu [px]", ylabel="Δv [px]")
     lower.set_title("projected − observed; colour: distance")
+    lower.xaxis.set_major_locator(MaxNLocator(5))
     lower.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), markerscale=4)
     return drawn
 

@@ -98,10 +98,11 @@ def _photographs(evaluation: Evaluation) -> list[Picture]:
 def _pictures(evaluation: Evaluation, score: Score | None) -> list[Picture]:
     data = evaluation.data
     out = []
-    if data is not None:
+    if data is not None and (data.targets or data.sorties or data.plan is not None):
         out.append(
             _picture("Layout 布设", "Fields of view are drawn at the lowest design height.", lambda: plots.layout(data))
         )
+    if data is not None and any(s.trajectory is not None for s in data.sorties):
         out.append(_picture("Flight profile 航高与航速", "Strips are shaded.", lambda: plots.profile(evaluation, data)))
     out += _photographs(evaluation)
     if evaluation.waveforms:

@@ -79,15 +79,16 @@ def test_markup_is_escaped(evaluation: Evaluation, tmp_path: Path) -> None:
 
 
 def test_bare_report(evaluation: Evaluation, bare_data: CampaignData, tmp_path: Path) -> None:
-    """Rationale: a campaign of which nothing could be measured has a report too. Expected: eight times 未测 and no picture but
-    layout and profile; a field campaign is not called simulated."""
+    """Rationale: a campaign of which nothing could be measured has a report too. Expected: eight times 未测 and no picture,
+    no heading without one; a field campaign is not called simulated."""
     nothing = Evaluation(campaign="empty", synthetic=False, indicators={}, data=bare_data, mounting_reason="no targets")
     write_report(tmp_path / "r.html", nothing, None)
     text = (tmp_path / "r.html").read_text()
     assert text.count("未测 · not measured</span>\n") == 8
     assert "Simulated campaign" not in text
     assert "Not measured: no targets" in text
-    assert "data:image/jpeg" not in text
+    assert "data:image/" not in text
+    assert "<h2>Pictures</h2>" not in text
 
 
 def test_missing_preview_is_said(evaluation: Evaluation, tmp_path: Path) -> None:

@@ -223,7 +223,7 @@ def test_coverage_figure(chessboard_result: ChessboardResult) -> None:
 
 def test_distortion_figure(chessboard_result: ChessboardResult) -> None:
     """Rationale: the map is distorted minus ideal. Expected: with k1 = -0.05 alone a point seen at radius r has the ideal radius x
-    of r = x - 0.05 x^3, so the map's greatest value, in the corner, is 0.05 x^3 f. Tolerance: rounding; the cubic is solved here."""
+    of r = x - 0.05 x^3, so the map's greatest value, in the corner, is 0.05 x^3 f. Tolerance: rounding."""
     assert chessboard_result.lens is not None
     lens = chessboard_result.lens.model_copy(update={"k1": -0.05, "k2": 0.0, "k3": 0.0, "p1": 0.0, "p2": 0.0})
     lens = lens.model_copy(update={"fx_px": 3000.0, "fy_px": 3000.0, "cx_px": 1536.0, "cy_px": 1024.0})
