@@ -147,7 +147,7 @@ def spoil_log(place: str, old: str, new: str) -> Callable[[Path], object]:
     ("spoil", "severity", "message"),
     [
         (lambda r: (r / "bench/room.json").write_text("{"), "error", "room.json: is not valid JSON"),
-        (lambda r: (r / "bench/room.json").unlink(), "warning", "room.json: missing"),
+        (lambda r: (r / "bench/room.json").unlink(), "warning", "room.json: missing; the room (6.3)"),
         (lambda r: (r / "bench/chessboard/board.json").unlink(), "warning", "board.json: missing"),
         (lambda r: (r / "bench/chessboard/log.csv").unlink(), "warning", "chessboard/log.csv: missing"),
         (lambda r: (r / "bench/chessboard/B_1.png").unlink(), "error", "B_1.png: named in log.csv, but missing"),
