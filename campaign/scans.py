@@ -16,7 +16,7 @@ from campaign.atomic import complete_file
 from campaign.errors import CampaignError
 from campaign.las import GENERATING_SOFTWARE, SCALE_M, StripReader
 
-MAX_POINTS = 20_000_000  # kept in memory of one scan
+MAX_POINTS = 10_000_000  # kept in memory of one scan
 LOCAL_WKT = (
     'LOCAL_CS["LiDAR axes",LOCAL_DATUM["LiDAR centre",0],UNIT["metre",1.0],AXIS["x",OTHER],AXIS["y",OTHER],'
     'AXIS["z",OTHER]]'

@@ -1,7 +1,7 @@
 """Clause 9.1: ranging error of the LiDAR, formulas (9)-(15), and the indicator m_z from a campaign's ranging line.
 
-The total station's side, formula (12) with IUGG's group index, is in `evaluator.total_station` and offered here too; panels
-are found in `evaluator.observe.ranging_panels`, records gathered in `evaluator.ranging_observations`.
+The total station's side with (12) is in `evaluator.total_station` and offered here too, the records are gathered in
+`evaluator.ranging_observations`.
 """
 
 from collections.abc import Callable
@@ -321,6 +321,9 @@ def _adjusted(
     std = relative_rmse(std_m, mean_m)
     residual = first - corrected
     statistic = float(residual @ np.linalg.solve(differences, residual))
+    probability = float(chi2.sf(statistic, len(usable) - 2))
+    if probability < 1e-3:
+        found.notes.append(f"the residuals of (14) are larger than what is stated explains: p = {probability:.1g}")
     plain = range_correction_constants(measured, first)
     held_out = _held_out(measured, first, truth, differences)
     k2_std, r2_std = np.sqrt(np.diag(covariance))
@@ -356,7 +359,7 @@ def _adjusted(
             "leave_one_panel_out_percent": relative_rmse(held_out, mean_m),
             "chi_square": statistic,
             "chi_square_freedom": len(usable) - 2,
-            "chi_square_p": float(chi2.sf(statistic, len(usable) - 2)),
+            "chi_square_p": probability,
             "lidar_scatter_over_fit": float(np.sqrt(scale)) if freedom >= 4 else None,
             "reading_std_m": {
                 use: result.scatter * float(np.mean([p.class_m for p in result.panels]))
@@ -397,5 +400,4 @@ def _held_out(measured: np.ndarray, first: np.ndarray, truth: np.ndarray, covari
 
 
 def _rows(panels: list[PanelRange]) -> list[dict[str, object]]:
-    """Panels as plain values."""
     return [vars(p).copy() for p in panels]

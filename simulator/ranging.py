@@ -25,6 +25,7 @@ from campaign.ranging import (
     write_readings,
 )
 from campaign.scans import ScanPoints, joined, write_scan
+from campaign.threads import one_blas_thread
 from campaign.truth import TrueRanging
 from scenes.model import Scene
 from scenes.ranging_line import RangingScene, build_line, turned
@@ -123,6 +124,7 @@ def prepare_line(config: Config) -> Line:
     return line
 
 
+@one_blas_thread()
 def simulate_ranging(config: Config, place: CampaignFolder, start_gps_s: float, progress: Report) -> None:
     """Write ranging/ of a campaign folder: line.json, total_station.csv, one point cloud for each scan.
 

@@ -23,6 +23,7 @@ MAX_TRIES = 500  # pairs of candidates that are followed up
 PLACE_GATE = 0.35  # of the panel's size: candidate against the place that the rotation gives
 MIN_POINTS = 6  # of one panel in one scan
 DEFAULT_DIVERGENCE_RAD = 0.0005
+LEAST_STD_M = 2e-5  # of a range: coordinates are written to 0.1 mm
 DARK_SHARE = 0.8  # of the panel's usual amplitude: below it part of the footprint lies beside the panel
 
 
@@ -88,7 +89,7 @@ def panels_in_scan(
         No three panels agree with the total station.
     """
     distance = np.array([np.linalg.norm(p.place_m) for p in wanted])
-    gate = GATE_M + GATE_SCALE * distance
+    order = np.sort(distance)
     extent = [np.inf, 0.0, 0]
 
     def near(xyz_m: np.ndarray) -> np.ndarray:
@@ -96,12 +97,10 @@ def panels_in_scan(
         if len(found):
             extent[:] = [min(extent[0], float(found.min())), max(extent[1], float(found.max())), extent[2] + len(found)]
         place = np.searchsorted(order, found)
-        below, above = np.clip(place - 1, 0, len(order) - 1), np.clip(place, 0, len(order) - 1)
-        return np.minimum(np.abs(found - order[below]), np.abs(found - order[above])) <= float(gate.max())
+        next_to = order[np.clip([place - 1, place], 0, len(order) - 1)]
+        return np.asarray((np.abs(found - next_to) <= _gate_m(next_to)).any(axis=0))
 
-    order = np.sort(distance)
-    points = read_scan(path, near, amplitude_unit=amplitude_unit)
-    shells = [_shell(points, d, g) for d, g in zip(distance, gate, strict=True)]
+    shells = _shells(read_scan(path, near, amplitude_unit=amplitude_unit), distance)
     candidates = [_candidates(shell, d, p.size_m) for shell, d, p in zip(shells, distance, wanted, strict=True)]
     rotation, chosen = _tie(wanted, candidates)
     if rotation is None:
@@ -137,16 +136,31 @@ def _unit_hint(largest: float, expected_m: float) -> str:
     return ""
 
 
-def _shell(points: ScanPoints, distance_m: float, gate_m: float) -> _Shell:
+def _gate_m(distance_m: np.ndarray) -> np.ndarray:
+    """How far a measured range may lie from the true one. [m]"""
+    return GATE_M + GATE_SCALE * distance_m
+
+
+def _shells(points: ScanPoints, distance_m: np.ndarray) -> list[_Shell]:
+    """Points near each distance."""
     range_m = np.linalg.norm(points.xyz_m, axis=1)
-    near = (np.abs(range_m - distance_m) <= gate_m) & (range_m > 0.0)
-    return _Shell(
-        direction=points.xyz_m[near] / range_m[near, None],
-        range_m=range_m[near],
-        amplitude=points.amplitude[near].astype(float),
-        alone=points.number_of_returns[near] <= 1,
-        time_s=points.gps_time_s[near],
-    )
+    order = np.argsort(range_m, kind="stable")
+    ordered = range_m[order]
+    first = np.searchsorted(ordered, np.maximum(distance_m - _gate_m(distance_m), 1e-3))
+    last = np.searchsorted(ordered, distance_m + _gate_m(distance_m), side="right")
+    out = []
+    for begin, end in zip(first, last, strict=True):
+        rows = order[begin:end]
+        out.append(
+            _Shell(
+                direction=points.xyz_m[rows] / range_m[rows, None],
+                range_m=range_m[rows],
+                amplitude=points.amplitude[rows].astype(float),
+                alone=points.number_of_returns[rows] <= 1,
+                time_s=points.gps_time_s[rows],
+            )
+        )
+    return out
 
 
 def _candidates(shell: _Shell, distance_m: float, size_m: float) -> list[np.ndarray]:
@@ -160,8 +174,8 @@ def _candidates(shell: _Shell, distance_m: float, size_m: float) -> list[np.ndar
     # A cube of cells about the LiDAR: a panel's cells are those that its directions, at its distance, fall into.
     cell_m = size_m / CELLS
     place = shell.direction * distance_m
-    key = np.floor(place / cell_m).astype(np.int64)
-    owner = np.unique(key, axis=0, return_inverse=True)[1].ravel()
+    x, y, z = np.floor(place / cell_m).astype(np.int64).T + (1 << 20)  # 2 million cells an axis
+    owner = np.unique((x << 42) | (y << 21) | z, return_inverse=True)[1].ravel()
     count = np.bincount(owner)
     middle = np.stack([np.bincount(owner, place[:, k]) for k in range(3)], axis=-1) / count[:, None]
     tree = cKDTree(middle)
@@ -184,11 +198,11 @@ def _candidates(shell: _Shell, distance_m: float, size_m: float) -> list[np.ndar
 
 def _centred(shell: _Shell, direction: np.ndarray, distance_m: float, size_m: float) -> np.ndarray:
     """The direction again (3,), from points on the panel's own plane: without the post behind it and the ground below."""
-    for _ in range(4):
+    for _ in range(3):
         near = np.flatnonzero(np.linalg.norm(shell.direction - direction, axis=1) * distance_m <= 0.75 * size_m)
         near = near[:: 1 + len(near) // ENOUGH_POINTS]
         try:
-            _, residual, scale = _plane(shell.direction[near], shell.range_m[near], direction)
+            _, residual, scale = _plane(shell.direction[near], shell.range_m[near], direction, rounds=4)
         except EvaluationError:
             return direction
         middle = shell.direction[near[np.abs(residual) <= max(4.0 * scale, 0.01)]].mean(axis=0)
@@ -210,7 +224,8 @@ def _tie(
     size = np.array([p.size_m for p in wanted])
     # A candidate's own centre is good to a share of the panel's size.
     gate = PLACE_GATE * size
-    pool = [(rank, i, c) for i, found in enumerate(candidates) for rank, c in enumerate(found)]
+    ranks = CANDIDATES if len(wanted) <= 30 else 2
+    pool = [(rank, i, c) for i, found in enumerate(candidates) for rank, c in enumerate(found[:ranks])]
     pairs = [(p, q) for n, p in enumerate(pool) for q in pool[n + 1 :] if p[1] != q[1]]
     pairs.sort(key=lambda pair: pair[0][0] + pair[1][0])  # the best of each panel first
     most, least_miss, best = 2, np.inf, None
@@ -288,10 +303,10 @@ def _range(
     used = weight > 0
     variance = float(np.sum(weight * residual**2) / np.sum(weight)) * used.sum() / max(used.sum() - 3, 1)
     design = _design(direction, predicted)
-    normal = np.linalg.inv((design * (range_m**4 * weight)[:, None]).T @ design)
+    normal = np.linalg.pinv((design * (range_m**4 * weight)[:, None]).T @ design, hermitian=True)
     return RangedPanel(
         range_m=1.0 / float(polar[0]),
-        variance_m2=float(variance * normal[0, 0] / polar[0] ** 4),
+        variance_m2=max(float(variance * normal[0, 0] / polar[0] ** 4), LEAST_STD_M**2),
         points=int(used.sum()),
         rms_m=float(np.sqrt(np.mean(residual[used] ** 2))),
         miss_m=float(np.linalg.norm(candidate - predicted)) * distance_m,
@@ -311,7 +326,9 @@ def _tukey(residual: np.ndarray, scale: float) -> np.ndarray:
     return np.asarray(np.clip(1.0 - (residual / (6.0 * scale)) ** 2, 0.0, None) ** 2)
 
 
-def _plane(direction: np.ndarray, range_m: np.ndarray, about: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def _plane(
+    direction: np.ndarray, range_m: np.ndarray, about: np.ndarray, rounds: int = 12
+) -> tuple[np.ndarray, np.ndarray, float]:
     """(3,) polar form about a direction, (n,) residuals along the ray, and their robust scale.
 
     It starts from the greatest group of points within 0.1 m of one another and spreads along their plane.
@@ -321,7 +338,7 @@ def _plane(direction: np.ndarray, range_m: np.ndarray, about: np.ndarray) -> tup
     middle = _mode(range_m)
     design = _design(direction, about)
     weight = (np.abs(range_m - middle) < 0.1).astype(float)
-    for _ in range(12):
+    for _ in range(rounds):
         if np.count_nonzero(weight) < MIN_POINTS:
             raise EvaluationError("too few points on a plane", got=int(np.count_nonzero(weight)))
         # residual along the ray: dr = -r^2 d(1/r)

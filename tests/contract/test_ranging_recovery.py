@@ -19,10 +19,12 @@ from simulator.ranging import prepare_line, simulate_ranging, true_ranging
 
 QUICKSTART = Path(__file__).parents[2] / "configs" / "campaigns" / "quickstart.toml"
 K2_M, R2 = 0.05, 2e-4
+# For tests of many seeds: a third of the points, 19 on the farthest panel, and no panel so near that it takes most of them.
 COARSE = (
     "ranging.turn_rate_deg_s=3.5",
     "ranging.scan_rate_hz=60.0",
-)  # a third of the points: 19 on the farthest panel, for tests of many seeds
+    "ranging.distances_m=[40.0, 80.0, 120.0, 160.0, 200.0, 240.0]",
+)
 
 
 def faults(k2_m: float, r2: float) -> list[str]:
@@ -113,14 +115,14 @@ def test_the_constants_come_back(tmp_path: Path, k2_m: float, r2: float) -> None
 def test_uncertainty_is_honest(tmp_path: Path) -> None:
     """Rationale: a stated standard deviation is worth nothing unless errors spread by it.
 
-    Expected over 12 seeds, the injected constants and zero in turn: z of K2 and of R2 each with a spread of 0.6 to 1.5 (the
-    sample spread of 12 normal numbers lies there 99 times in 100), none beyond 3.5, and no common offset (mean of 12: 0.29).
+    Expected over 10 seeds, the injected constants and zero in turn: z of K2 and of R2 each with a spread of 0.6 to 1.5 (the
+    sample spread of 10 normal numbers lies there 96 times in 100), none beyond 3.5, and no common offset (mean of 10: 0.32).
     """
-    z = np.stack([r.z for r in runs(tmp_path, range(11, 23), *COARSE)])
+    z = np.stack([r.z for r in runs(tmp_path, range(11, 21), *COARSE)])
     spread = z.std(axis=0, ddof=1)
     assert (spread > 0.6).all() and (spread < 1.5).all(), spread
     assert np.abs(z).max() < 3.5
-    assert np.abs(z.mean(axis=0)).max() < 3.0 / np.sqrt(12), z.mean(axis=0)
+    assert np.abs(z.mean(axis=0)).max() < 3.0 / np.sqrt(10), z.mean(axis=0)
 
 
 @pytest.mark.slow
