@@ -44,7 +44,6 @@ from simulator.render.scene import load_scene
 Report = Callable[[str, int, int], None]
 INTERVAL_S = 20.0  # between pictures
 WALL_BEHIND_M = 1.5  # the wall stands this far behind the farthest position
-MAX_EXPOSURE_S = 2.0  # a longer one is replaced by gain
 FLATNESS_M = 0.0  # the simulated board is a plane
 WAITING_FRAMES = 2  # rendered pictures that may wait for noise and file: bounds the memory
 _NOISE, _SAMPLES = 1, 2  # keys of the stream, after the plan's
@@ -87,7 +86,6 @@ def simulate_chessboard(
     )
     pattern = sensor.fixed_pattern(config.camera, generator(config.seed, Stream.CAMERA_FIXED_PATTERN))
     scene = load_scene(board_scene(board, settings))
-    intensity = np.array([lamp_intensity(band) for band in camera.bands], np.float32)
     rows = []
     waiting: deque[Future[None]] = deque()
     progress("chessboard", 0, len(plan))
@@ -103,7 +101,7 @@ def simulate_chessboard(
                 waiting.popleft().result()
             tags = _tags(config, camera, time, used.exposure_time_s)
             path = place.chessboard / name
-            waiting.append(writer.submit(_develop, config, camera, used, pattern, grey, intensity, noise, path, tags))
+            waiting.append(writer.submit(_develop, config, camera, used, pattern, grey, noise, path, tags))
             rows.append(
                 BoardExposure(
                     image=name,
@@ -146,27 +144,17 @@ def board_irradiance(placement: Placement, point_m: np.ndarray) -> np.ndarray:
 def _exposing(
     config: Config, camera: Camera, board: Board, plan: tuple[Placement, ...], distance_m: float
 ) -> sensor.Exposing:
-    """Exposure and gain of one position: the longest of all bands, white at `exposure_share` of full scale in DN."""
+    """Exposure and gain of one position: its brightest white at `exposure_share` of full scale, under one unit of shade."""
     settings = config.bench.chessboard
     x, y = np.linspace(board.low_m, board.high_m, 15).T
     points = np.stack([c.ravel() for c in np.meshgrid(x, y)], axis=-1)
     brightest = max(board_irradiance(p, points).max() for p in plan if p.distance_m == distance_m)
-    white = settings.white_reflectance / np.pi * brightest
     focal_m, focus_m = camera.nominal_focal_length_mm / 1000, bench_focus_m(config)
-    nearer = ((focus_m - focal_m) / focus_m) ** 2  # the sensor stands farther from the lens than for infinity
-    per_second = nearer * np.array([sensor.electrons_per_radiance(camera, band, 1.0) for band in camera.bands])
-    radiance = white * np.array([lamp_intensity(band) for band in camera.bands])
-    fault = config.faults.camera_gain  # a person sets what the camera shows
-    wanted_e = settings.exposure_share * camera.full_well_e / max(1.0, fault)
-    seconds = min(MAX_EXPOSURE_S, wanted_e / float(np.max(per_second * radiance)))
-    electrons = per_second * radiance * seconds
-    e_per_dn = fault * float(np.max(electrons)) / (settings.exposure_share * sensor.full_scale_dn(camera))
-    return sensor.Exposing(
-        e_per_radiance=per_second * seconds,
-        e_per_dn=e_per_dn,
-        exposure_time_s=seconds,
-        white_dn=electrons / e_per_dn,
-    )
+    # The sensor stands farther behind the lens than for infinity.
+    lamp = ((focus_m - focal_m) / focus_m) ** 2 * np.array([lamp_intensity(band) for band in camera.bands])
+    share = settings.exposure_share / max(1.0, config.faults.camera_gain)  # a person sets what the camera shows
+    set_to = sensor.exposure_for(camera, settings.white_reflectance / np.pi * brightest * lamp, share)
+    return sensor.under_light(set_to, lamp)
 
 
 def _develop(
@@ -175,13 +163,12 @@ def _develop(
     exposing: sensor.Exposing,
     pattern: sensor.FixedPattern,
     grey: np.ndarray,
-    intensity: np.ndarray,
     noise: np.random.Generator,
     path: Path,
     tags: images.ImageTags,
 ) -> None:
-    radiance = grey[:, :, None] * intensity
-    dn = sensor.expose(radiance, camera, exposing, config.faults.camera_gain, noise, pattern)
+    light = np.broadcast_to(grey[:, :, None], (*grey.shape, len(camera.bands)))
+    dn = sensor.expose(light, camera, exposing, config.faults.camera_gain, noise, pattern)
     images.write_image(path, dn, tags)
     images.write_preview(path.with_suffix(".jpg"), sensor.preview(dn, camera), tags)
 

@@ -323,7 +323,7 @@ def _sampled(job: _Job, pixel: Any, kind: Any, count: Any) -> Any:
         dr.abs(foot.per_px[2]) > dr.abs(foot.per_px[3]),
     )
     # The point spread on the board: what the axes share is sampled, the rest is integrated.
-    variance = dr.square(job.view.camera.psf_sigma_px)
+    variance = max(job.view.camera.psf_sigma_px, 1e-3) ** 2
     xx, yy = variance * _square(foot.per_px, 0), variance * _square(foot.per_px, 1)
     xy = variance * (foot.per_px[0] * foot.per_px[2] + foot.per_px[1] * foot.per_px[3])
     shared = dr.abs(xy)
