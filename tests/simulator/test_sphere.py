@@ -295,6 +295,30 @@ def test_what_is_written(tmp_path: Path) -> None:
     assert len({image.tobytes() for image in images}) == 8
 
 
+def test_dark_current_and_gain_fault_reach_the_files(tmp_path: Path) -> None:
+    """Rationale: the bench sees the camera as it is: its warm sensor and its gain.
+
+    Expected: 200 000 e/s at 20 degrees rise with the sensor's warm-up between the first and the fourth image; a gain fault of
+    1.2 raises that by 1.2, and leaves the light at the share that the operator sets.
+    Tolerance: 1200 pixels of 60 DN noise (shot 46, PRNU 42): 5 standard errors of the difference, PRNU common: 9.4 DN.
+    """
+    cam = camera(dark_current_e_s=2e5, vignetting=0.0)
+    quiet = {"window_px": (40, 30), "drift_percent_per_h": 0.0, "noise_percent": 0.0, "warm_up_share": 0.0}
+    place, drift = taken(tmp_path, config(cam, camera_gain=1.2, **quiet))
+    assert drift == 0.0
+    row = read_sphere_log(place.sphere_stability / "log.csv")[0]
+    assert row.exposure_time_s is not None and row.gain_e_per_dn is not None
+    first, last = (
+        read_image(place.sphere_stability / f"s_00{k}.tif", width_px=40, height_px=30, bands=3)[..., 0].mean()
+        for k in (1, 4)
+    )
+    doublings = 6 * (1 - np.exp(-np.array([1500.0, 2040.0]) / 900)) / 6.5
+    dark = 1.2 * 2e5 * row.exposure_time_s * 2**doublings / row.gain_e_per_dn
+    assert last - first == pytest.approx(dark[1] - dark[0], abs=9.4)
+    assert dark[1] - dark[0] > 30
+    assert first - 256 - dark[0] == pytest.approx(0.65 * 16127, rel=0.005)
+
+
 def test_same_seed_same_bytes(tmp_path: Path) -> None:
     """Expected: two runs leave the same files to the byte, another seed other images under the same light."""
 
