@@ -245,8 +245,13 @@ def _series(
     worst = max((p.saturated_share for _, p in read), default=0.0)
     if saturated and 2 * len(saturated) > len(read):
         count = f"{len(saturated)} of {len(read)} images"
-        reason = f"{method.place}: the centre is saturated in {count}; shorten the exposure (8.2.2 d)"
-        return refused(reason, left_out=left_out, saturated_share=worst), None
+        reason = (
+            f"{method.place}: the centre is saturated in {count} (at full scale, or nine equal pixels far up the scale); "
+            "shorten the exposure (8.2.2 d)"
+        )
+        spoiled = _gathered(data, read, left_out, worst)
+        visible = spoiled.dn.mean(axis=0).min() > 0.0
+        return refused(reason, left_out=left_out, saturated_share=worst), spoiled if visible else None
     left_out += [f"{e.image}: {p.saturated_share:.0%} of its central pixels are saturated" for e, p in saturated]
     used = [(e, p) for e, p in read if p.saturated_share == 0.0]
     if len(used) < MIN_IMAGES:
@@ -254,20 +259,27 @@ def _series(
         if left_out:
             reason += f"; first left out: {left_out[0]}"
         return refused(reason, left_out=left_out), None
-    series = SphereSeries(
-        images=tuple(e.image for e, _ in used),
-        time_s=np.array([e.gps_time_s - used[0][0].gps_time_s for e, _ in used]),
-        dn=np.array([p.dn for _, p in used]),
-        bands=_bands(data, len(used[0][1].dn)),
-        since_lamp_on_s=used[0][0].since_lamp_on_s,
-        left_out=tuple(left_out),
-        saturated_share=worst,
-    )
+    series = _gathered(data, used, left_out, worst)
     dark = [name for name, mean in zip(series.bands, series.dn.mean(axis=0), strict=True) if mean <= 0.0]
     if dark:
         reason = f"{method.place}: channel {dark[0]} is not above the black level; lengthen the exposure (8.2.2 d)"
-        return refused(reason, left_out=left_out), series
+        return refused(reason, left_out=left_out), None
     return _indicator(method, series, [e for e, _ in used], [p for _, p in used]), series
+
+
+def _gathered(
+    data: CampaignData, read: list[tuple[SphereExposure, CentralPixels]], left_out: list[str], saturated_share: float
+) -> SphereSeries:
+    first = read[0][0]
+    return SphereSeries(
+        images=tuple(e.image for e, _ in read),
+        time_s=np.array([e.gps_time_s - first.gps_time_s for e, _ in read]),
+        dn=np.array([p.dn for _, p in read]),
+        bands=_bands(data, len(read[0][1].dn)),
+        since_lamp_on_s=first.since_lamp_on_s,
+        left_out=tuple(left_out),
+        saturated_share=saturated_share,
+    )
 
 
 def _why(error: Exception, root: Path) -> str:

@@ -358,10 +358,14 @@ def test_saturated_series(place: CampaignFolder) -> None:
     write_sheet(place.camera, sheet())
     for k in range(1, 5):
         spoil(place.sphere_stability / f"s_{k:03d}.tif", saturated())
-    found = evaluated(place).stability
+    result = evaluated(place)
+    found = result.stability
     assert found.value is None and found.reason is not None
     assert "saturated in 4 of 7 images" in found.reason
     assert found.companions["saturated_share"] == pytest.approx(1 / 9)
+    # Conformity judges 8.2.2 d by the series, so it stays.
+    assert result.stability_series is not None
+    assert result.stability_series.saturated_share == pytest.approx(1 / 9)
 
 
 def test_a_full_well_below_full_scale_is_saturation_too(place: CampaignFolder) -> None:

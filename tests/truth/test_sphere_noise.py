@@ -218,8 +218,7 @@ def test_through_files(tmp_path: Path, drift_set: float, noise: float) -> None:
     """Rationale: one seed the whole way: rendered light, TIFF, log, evaluator.
 
     Expected: both figures of every band by the noise model, also where the lamp flickers by 1 %; PRNU and light as rendered; the
-    trend is the lamp's drift; the
-    photon noise that the evaluator expects is the noise model's.
+    trend is the lamp's drift; the photon noise that the evaluator expects is the noise model's.
     Tolerance: chi-square with 20 degrees of freedom at 0.1 % and 99.9 % over six figures; four standard deviations of the trend.
     """
     setting = config(drift_percent_per_h=drift_set, noise_percent=noise)
