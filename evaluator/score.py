@@ -251,7 +251,11 @@ def _map_items(results: dict[str, Any], truth: Truth, where: str) -> list[ScoreI
             return []
     except (KeyError, TypeError, ValueError, OverflowError):
         return []  # results of which no map can be drawn; the parameters are scored all the same
-    plain, turned = distortion_error(estimated, truth.bench.lens, (width, height), cells)
+    try:
+        with np.errstate(all="ignore"):
+            plain, turned = distortion_error(estimated, truth.bench.lens, (width, height), cells)
+    except np.linalg.LinAlgError:  # an estimate whose distortion folds back inside the field
+        return []
     return [
         ScoreItem(quantity=name, unit="px", truth=0.0, estimate=value, error=value, std=0.0, z=None)
         for name, value in (("distortion_map_rms_px", plain), ("distortion_map_rms_turned_px", turned))

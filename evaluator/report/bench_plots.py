@@ -31,6 +31,9 @@ def _draw_series(axes: Axes, series: SphereSeries, band: int, trend: bool) -> No
     minutes = np.asarray(series.time_s) / 60.0
     values = np.asarray(series.dn)[:, band]
     mean = float(values.mean())
+    if not mean > 0.0:
+        axes.set_title(f"{series.bands[band]}: mean {mean:.1f} DN, not above the black level", fontsize=8)
+        return
     relative = 100.0 * (values / mean - 1.0)
     spread = float(relative.std(ddof=1)) if relative.size > 1 else 0.0
     colour = _band_colour(series.bands[band], band)
@@ -180,9 +183,17 @@ def distortion_map(result: ChessboardResult) -> Figure | None:
     u, v = np.meshgrid(np.arange(step / 2, width, step), np.arange(step / 2, height, step))
     uv = np.stack([u.ravel(), v.ravel()], axis=1)
     lens = result.lens
-    ideal = undistort(lens, uv) * (lens.fx_px, lens.fy_px) + (lens.cx_px, lens.cy_px)
+    try:
+        with np.errstate(all="ignore"):
+            ideal = undistort(lens, uv) * (lens.fx_px, lens.fy_px) + (lens.cx_px, lens.cy_px)
+    except np.linalg.LinAlgError:  # the polynomial folds back exactly on a point of the grid
+        return None
     shift = (uv - ideal).reshape(*u.shape, 2)
     amount = np.hypot(shift[..., 0], shift[..., 1])
+    reached = amount < max(width, height)  # beyond it the polynomial has folded back and no ray belongs to the point
+    if not reached.any():
+        return None
+    amount[~reached], shift[~reached] = np.nan, np.nan
     drawn = figure(5.3, 0.8 + 3.7 * height / width)
     axes = drawn.add_subplot()
     picture = axes.pcolormesh(u, v, amount, shading="nearest", cmap="viridis", rasterized=True)
@@ -235,6 +246,7 @@ def image_errors(result: ChessboardResult) -> Figure | None:
         at = f"{result.distances_m[p]:.2f} m" if p < len(result.distances_m) else f"position {p + 1}"
         axes.plot([], [], "s", color=_colour(p), label=at)
     axes.grid(False, axis="x")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel="accepted image", ylabel="RMS [px]", xlim=(0.3, len(values) + 0.7), ylim=(0, None))
     axes.set_title("Reprojection error of each image 每幅影像重投影误差")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3)

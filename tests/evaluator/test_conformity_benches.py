@@ -259,6 +259,23 @@ def test_ranging_rows_without_evaluation(bench_data: CampaignData, bench_inputs:
     assert statuses(conformity_rows(doubled, inputs), "9.1.2 c", "readings") == ["fail"]
 
 
+def test_instruments_by_the_plan(bench_data: CampaignData, bench_inputs: ConformityInputs) -> None:
+    """Rationale: 5.3 may be stated in the flight plan only. Expected: the sphere's class is read from its words; a total station
+    of the plan is named, but its class is nobody's certificate: a warning, twice for its two uses."""
+    assert bench_data.plan is not None
+    words = {"integrating_sphere": "third class", "total_station": "1 second"}
+    data = replace(
+        bench_data,
+        plan=bench_data.plan.model_copy(update={"instruments": words}),
+        bench=replace(bench_data.bench, room=None),
+        ranging=replace(bench_data.ranging, line=None),
+    )
+    rows = conformity_rows(data, bench_inputs)
+    assert statuses(rows, "5.3", "sphere") == statuses(rows, "6.3.1 f") == ["pass"]
+    assert statuses(rows, "5.3", "total station") == ["warning", "warning"]
+    assert statuses(rows, "6.3.1 a") == ["not_recorded"]
+
+
 def test_angle_between_boards(chessboard_result: ChessboardResult) -> None:
     """Rationale: boards turned by +15 and -25 degrees about their x axis have normals 40 degrees apart; a turn in the board's own
     plane changes no normal. Expected: 40 and 0. Tolerance: 1e-6 degrees, arccos near 1 loses half the digits."""

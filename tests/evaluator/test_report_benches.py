@@ -239,8 +239,20 @@ def test_distortion_that_folds_back(chessboard_result: ChessboardResult) -> None
     """Rationale: a bad calibration has a polynomial that no ray reaches in the corners. Expected: a figure or a reason, no
     traceback and no warning."""
     assert chessboard_result.lens is not None
-    lens = chessboard_result.lens.model_copy(update={"k1": -3.0, "k2": 0.0, "k3": 0.0})
-    drawn(lambda: bench_plots.distortion_map(replace(chessboard_result, lens=lens)))
+    for change in ({"k1": -3.0}, {"k1": 1e9}, {"k1": 0.0, "k3": -500.0}, {"k1": -1e30}):
+        lens = chessboard_result.lens.model_copy(update={"k2": 0.0, "k3": 0.0} | change)
+        with style():
+            found = bench_plots.distortion_map(replace(chessboard_result, lens=lens))
+            if found is not None:
+                found.draw_without_rendering()
+
+
+def test_black_series(sphere_result: SphereResult) -> None:
+    """Rationale: a lens cap leaves DN at or below the black level, and no percentage. Expected: the band's panel says so."""
+    assert sphere_result.stability_series is not None
+    black = replace(sphere_result.stability_series, dn=sphere_result.stability_series.dn * [1.0, 0.0, -1.0])
+    found = texts(drawn(lambda: bench_plots.sphere_series(replace(sphere_result, stability_series=black))))
+    assert found.count("not above the black level") == 2
 
 
 def test_correlation_figure(chessboard_result: ChessboardResult) -> None:

@@ -138,6 +138,18 @@ def test_names_and_the_covered_cells(scored: Make) -> None:
     assert not set(MAP) & set(items)
 
 
+def test_lens_that_folds_back(scored: Make) -> None:
+    """Rationale: a spoiled calibration may have k1 = -3 or 1e30. Expected: the parameters are scored; a map where rays
+    exist; no warning, no traceback."""
+
+    def spoil(indicators: dict[str, Any]) -> None:
+        indicators["camera_reprojection_error"]["companions"]["estimates"][4] = 1e30
+
+    items = {i.quantity: i for i in scored(spoil).items}
+    assert items["camera_k1"].estimate == 1e30
+    assert items["camera_fx_px"].z == pytest.approx(1.0, abs=1e-6)
+
+
 def test_no_image_size_no_map(scored: Make) -> None:
     """Rationale: parameters are scored also where no map can be drawn. Expected: nine items of the lens, no map."""
 
