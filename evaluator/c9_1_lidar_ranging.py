@@ -13,13 +13,7 @@ from scipy.stats import chi2
 from campaign.ranging import RangingLine
 from evaluator.bench_model import PanelRange, RangingResult
 from evaluator.model import CampaignData, EvaluationError
-from evaluator.ranging_observations import (
-    Found,
-    lidar_covariance_m2,
-    observe_scans,
-    panel_ranges,
-    station_of,
-)
+from evaluator.ranging_observations import Found, lidar_covariance_m2, observe_scans, panel_ranges, station_of
 from evaluator.results_model import IndicatorValue, not_measured
 from evaluator.total_station import (
     StationResult,

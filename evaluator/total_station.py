@@ -1,7 +1,6 @@
-"""Total station of 9.1.2 c-e: from readings to slope distances between the LiDAR's centre and the panels, with covariances.
+"""Total station of 9.1.2 c-e: formula (12), and from readings to distances between the LiDAR's centre and the panels.
 
-Formula (12) and the group index stand in `evaluator.c9_1_lidar_ranging`'s sources below; the LiDAR's side in
-`evaluator.observe.ranging_panels`.
+The LiDAR's side is in `evaluator.observe.ranging_panels`, formulas (9)-(11) and (13)-(15) in `evaluator.c9_1_lidar_ranging`.
 """
 
 from dataclasses import dataclass

@@ -28,7 +28,16 @@ from evaluator.c9_1_lidar_ranging import (
     relative_rmse,
 )
 from evaluator.model import CampaignData, EvaluationError, RangingData
-from evaluator.total_station import corrected_slope_distance, group_refractive_index, meteorological_correction
+from evaluator.observe.ranging_panels import _rotation
+from evaluator.total_station import (
+    StationPanel,
+    StationResult,
+    corrected_slope_distance,
+    covariance_m2,
+    eccentricity_covariance_m2,
+    group_refractive_index,
+    meteorological_correction,
+)
 
 MM = 1e-3
 
@@ -102,6 +111,44 @@ def test_total_station_by_hand() -> None:
     correction = meteorological_correction(200.0, 1.0003, group_refractive_index(1.0, 0.0, 1013.25, 0.0))
     assert correction == pytest.approx(1.485545 * MM, abs=1e-9)
     assert corrected_slope_distance(200.0, -1.4 * MM, 3e-6, correction) == pytest.approx(200.000685545, abs=1e-9)
+
+
+def test_covariance_of_two_distances_by_hand() -> None:
+    """Two panels at 100 m (east) and 200 m (north), 5 and 4 readings of 2 mm, certificate 0.2 mm and 0.5 ppm, eccentricity 0.5 mm.
+
+    Expected: 4/5 + 0.04 + 0.05^2 = 0.8425 mm2 and 4/4 + 0.04 + 0.1^2 = 1.05 mm2; common to both 0.04 + 0.05 * 0.1 = 0.045 mm2.
+    The eccentricity adds 0.25 mm2 to each, and nothing in common as they stand at right angles. Tolerance: rounding.
+    """
+    panels = tuple(
+        StationPanel(
+            panel=name, readings=n, distance_m=d, std_m=None, place_m=d * np.eye(3)[k], sight_m=d, class_m=10 * MM
+        )
+        for k, (name, n, d) in enumerate((("a", 5, 100.0), ("b", 4, 200.0)))
+    )
+    station = STATIONS[0].model_copy(update={"additive_constant_std_m": 0.2 * MM, "scale_std": 0.5e-6})
+    result = StationResult(station=station, panels=panels, scatter=0.2, freedom=7)
+    assert covariance_m2(result, ["a", "b"]) / MM**2 == pytest.approx(np.array([[0.8425, 0.045], [0.045, 1.05]]))
+    sheet = RangingLine(
+        stations=(station,),
+        panels=(RangingPanel(id="a", size_m=1.0),),
+        eccentricity_m=(0, 0, 0),
+        eccentricity_std_m=0.0005,
+    )
+    assert eccentricity_covariance_m2(sheet, result, ["a", "b"]) / MM**2 == pytest.approx(0.25 * np.eye(2))
+
+
+def test_a_flat_fan_of_panels_gives_a_rotation_and_no_mirror() -> None:
+    """Rationale: panels at one height lie in one plane with the LiDAR, where a mirror image fits as well as a rotation does.
+
+    Expected: over 20 turns, the turn itself, from two directions and from five. Tolerance: rounding.
+    """
+    rng = np.random.default_rng(4)
+    for count in (2, 5):
+        origin = np.stack([direction(a, 0.0) for a in np.linspace(-8.0, 9.0, count)])
+        for _ in range(20):
+            q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+            turn = q * np.sign(np.linalg.det(q))
+            assert _rotation(origin @ turn.T, origin, np.ones(count)) == pytest.approx(turn, abs=1e-7)
 
 
 @pytest.mark.parametrize("bad", [[1.0, 2.0, 3.0, 4.0], [1.0, 2.0, 3.0, 4.0, np.nan], [[1.0] * 5] * 5])
