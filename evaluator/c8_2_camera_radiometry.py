@@ -318,6 +318,7 @@ def _indicator(
             **_trend_companions(series),
             **_lamp_companions(series, log),
             "images_used": n,
+            "linear_pixels": not any(name.lower().endswith((".jpg", ".jpeg")) for name in series.images),
             "left_out": list(series.left_out),
             "duration_s": float(series.time_s[-1]),
             "saturated_share": series.saturated_share,

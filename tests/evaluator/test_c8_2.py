@@ -285,6 +285,13 @@ def test_eight_bit_pictures(place: CampaignFolder) -> None:
     assert found.value == pytest.approx(2.0, rel=1e-12)
     assert found.companions["worst_channel"] == "grey"
     assert found.companions["warm_up_complete"] is None
+    assert found.companions["linear_pixels"] is True
+    for row in log:
+        gray = cv2.imread(str(folder / row.image), cv2.IMREAD_GRAYSCALE)
+        assert cv2.imwrite(str(folder / row.image.replace("png", "jpg")), gray)
+    write_sphere_log(folder / "log.csv", [SphereExposure(image=f"s_{k}.jpg", gps_time_s=180.0 * k) for k in range(3)])
+    coded = evaluated(place).stability
+    assert coded.value == pytest.approx(2.0, rel=1e-12) and coded.companions["linear_pixels"] is False
     channels = found.companions["channels"]
     assert isinstance(channels, dict) and channels["grey"]["photon_noise_percent"] is None
 
