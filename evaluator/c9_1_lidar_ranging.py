@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from campaign.ranging import RangingLine
 from evaluator.bench_model import PanelRange, RangingResult
 from evaluator.model import CampaignData, EvaluationError
-from evaluator.ranging_observations import Found, lidar_covariance_m2, observe_scans, panel_ranges, station_of
+from evaluator.ranging_observations import Found, lidar_covariance_m2, observe_scans, panel_ranges, station_of, unread
 from evaluator.results_model import IndicatorValue, not_measured
 from evaluator.total_station import (
     StationResult,
@@ -258,7 +258,9 @@ def _remarks(found: Found) -> dict[str, object]:
 def _evaluate(data: CampaignData, progress: Report, found: Found) -> RangingResult:
     line = data.ranging.line
     if line is None:
-        raise EvaluationError("no readable ranging/line.json")
+        raise EvaluationError(unread(data, "ranging/line.json") or "no ranging/line.json in this campaign")
+    if not data.ranging.readings:
+        raise EvaluationError(unread(data, "ranging/total_station.csv") or "no reading in ranging/total_station.csv")
     found.left_out += unknown_stations(line, data.ranging.readings)
     correction, reference = (station_of(data, line, serves, found) for serves in ("correction", "reference"))
     if not data.ranging.scans:

@@ -34,6 +34,11 @@ class Found:
     duration_s: list[float] = field(default_factory=list)
 
 
+def unread(data: CampaignData, name: str) -> str | None:
+    """Why a record could not be read, if it stands in the folder."""
+    return next((text for text in data.problems if text.startswith(name)), None)
+
+
 def station_of(data: CampaignData, line: RangingLine, serves: str, found: Found) -> StationResult:
     result, left_out = readings_of(line, data.ranging.readings, serves)
     found.left_out += [text for text in left_out if text not in found.left_out]

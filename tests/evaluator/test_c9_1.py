@@ -441,8 +441,15 @@ def test_a_missing_part_is_a_reason(line: Line, what: str) -> None:
         scans=() if what == "scans" else tuple(scan_paths(line.data.folder).items()),
     )
     result = evaluate_ranging(replace(line.data, ranging=ranging), lambda *_: None)
-    expected = {"line": "line.json", "readings": "no usable reading", "scans": "no scan"}[what]
-    assert result.indicator.value is None and expected in str(result.indicator.reason)
+    expected = {"line": "no ranging/line.json", "readings": "no reading", "scans": "no scan of the ranging line"}[what]
+    assert result.indicator.value is None and str(result.indicator.reason).startswith(expected)
+
+
+def test_a_record_that_cannot_be_read_is_the_reason(line: Line) -> None:
+    """The reader's own words, which name the row, stand at the indicator."""
+    why = "ranging/total_station.csv row 3 column temperature_c: is no number; got x"
+    data = replace(line.data, ranging=RangingData(line=line.line), problems=("other", why))
+    assert evaluate_ranging(data, lambda *_: None).indicator.reason == why
 
 
 def test_one_station_may_serve_both(line: Line) -> None:
