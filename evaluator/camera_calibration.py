@@ -14,7 +14,9 @@ from evaluator.board_adjustment import Observations, Poses, System, adjust, redu
 from evaluator.model import EvaluationError
 
 _CORNER_SIGMAS = 6.0  # a corner beyond this many robust standard deviations is wild
-_IMAGE_FACTOR = 3.0  # an image whose RMS is beyond this many times the median image's is not of this board or lens
+_IMAGE_FACTOR = (
+    3.0  # an image whose residuals are beyond this many times the median image's is not of this board or lens
+)
 _MOST_REJECTED = 0.25  # of the images
 _MOST_WILD = 0.05  # of an image's corners; more, and the image goes
 
@@ -153,8 +155,8 @@ def calibrate(
     uniform : bool
         Every corner the same weight, whatever its covariance.
     reject : bool
-        Leave out images whose RMS is beyond 3 times the median image's (weighted; one after the other, the worst first), and
-        corners beyond 6 robust standard deviations; an image with more than 5 % of those goes as a whole.
+        Leave out images whose median residual (weighted) is beyond 3 times the typical image's, one after the other, the worst
+        first; then corners beyond 6 robust standard deviations of their image. An image with more than 5 % of those goes too.
 
     Returns
     -------
@@ -200,7 +202,7 @@ def calibrate(
         unit = weights(plain, use, floor, np.ones(k))
         squares = np.einsum("kni,knij,knj->kn", np.where(use[..., None], residual, 0.0), unit, np.nan_to_num(residual))
         rms = np.sqrt(_image_means(squares, use) / 2.0)
-        gone = reject and _reject(rms, squares, use, rejected, wild)
+        gone = reject and _reject(squares, use, rejected, wild)
         if not uniform:
             factor = np.where(use.any(axis=1), np.clip(rms**2 / share, 0.05, 20.0), 1.0)
         if gone:
@@ -237,22 +239,19 @@ def _adjust_used(
     return lens, Poses(rotation=rotation, translation_m=translation), system, steps
 
 
-def _reject(
-    rms: np.ndarray, squares: np.ndarray, use: np.ndarray, rejected: dict[int, str], wild: list[tuple[int, int]]
-) -> bool:
-    """Takes the worst image, or else the wild corners, out of `use`; whether anything went."""
-    median = float(np.nanmedian(rms))
-    worst = int(np.nanargmax(rms))
-    if rms[worst] > _IMAGE_FACTOR * median:
-        rejected[worst] = (
-            f"its residuals are {rms[worst] / median:.1f} times the median image's (limit {_IMAGE_FACTOR:g})"
-        )
+def _reject(squares: np.ndarray, use: np.ndarray, rejected: dict[int, str], wild: list[tuple[int, int]]) -> bool:
+    """Takes the worst image, or else the wild corners, out of `use`; whether anything went. Medians: one wild corner does not make
+    an image bad."""
+    middle = np.array([np.median(s[u]) if u.any() else 0.0 for s, u in zip(squares, use, strict=True)])
+    typical = float(np.median(middle[use.any(axis=1)]))
+    worst = int(np.argmax(middle))
+    if middle[worst] > _IMAGE_FACTOR**2 * typical:
+        ratio = np.sqrt(middle[worst] / typical)
+        rejected[worst] = f"its residuals are {ratio:.1f} times the median image's (limit {_IMAGE_FACTOR:g})"
         use[worst] = False
         return True
-    limit = (
-        _CORNER_SIGMAS**2 * float(np.median(squares[use])) / 1.3863
-    )  # median of chi-square with two degrees of freedom
-    off = use & (squares > limit)
+    # the median of chi-square with two degrees of freedom is 1.386
+    off = use & (squares > _CORNER_SIGMAS**2 / 1.3863 * np.maximum(middle, typical)[:, None])
     for image in np.flatnonzero(off.any(axis=1)):
         count, of = int(off[image].sum()), int(use[image].sum())
         if count > max(_MOST_WILD * of, 1):
