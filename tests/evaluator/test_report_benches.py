@@ -280,6 +280,9 @@ def test_ranging_figure(ranging_result: RangingResult) -> None:
     before, after = (np.asarray(a.containers[0].lines[0].get_ydata(), dtype=float) for a in (upper, lower))
     expected = -50.0 - 0.2 * np.array([15.0, 60.0, 105.0, 150.0, 195.0, 240.0])
     assert np.abs(before - expected).max() < 1.2
+    (line,) = [one for one in upper.lines if one.get_label() == "−K₂ − R₂ L"]
+    x, y = (np.asarray(v, dtype=float) for v in line.get_data())
+    assert np.abs(np.interp([15.0, 240.0], x, y) - expected[[0, -1]]).max() < 1.0
     assert np.abs(after).max() < 2.0
 
 
