@@ -4,7 +4,7 @@ Axes are the camera's (x right, y down, z forward), the origin is the sphere's c
 through it along +z. The lamp is above the port, outside what can be seen. How light goes round is the renderer's affair.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,8 +17,9 @@ BOLTZMANN_J_K = 1.380649e-23
 STEFAN_BOLTZMANN = 5.670374419e-8  # [W m-2 K-4]
 # Of the picture's half diagonal (tangent): the port's rim stays outside the picture, distortion included.
 FIELD_MARGIN = 1.1
-# From the port's plane to the camera, in radii of the port, where the lens is not so wide that it must be nearer.
-CLOSE = 0.5
+# From the port's plane to the camera, in radii of the port: the first at which everything fits.
+CLOSE = (0.5, 0.25, 0.1)
+LAMP_PLACES = (0.5, 0.6, 0.7, 0.4, 0.8, 0.3)  # between the rim of the wall in sight and the port's rim
 SHADOW_MARGIN = 1.03  # of the baffle's radius that just hides the lamp from everything in sight
 BAFFLE_STEPS = (2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)  # distances from the lamp that are tried, in radii of the lamp
 INSIDE = 0.995  # the baffle keeps within this part of the sphere's radius
@@ -75,7 +76,8 @@ def build_sphere(sphere: Sphere, camera: Camera) -> SphereScene:
     """Place port, camera, lamp and baffle.
 
     The camera stands close in front of the port, which fills its whole picture (not only a window of it). The lamp is
-    half-way between the port's rim and the rim of the wall in the picture; the baffle hides it from all of that.
+    between the port's rim and the rim of the wall in the picture, half-way if that fits; the baffle hides it from all of
+    that wall.
 
     Raises
     ------
@@ -93,32 +95,43 @@ def build_sphere(sphere: Sphere, camera: Camera) -> SphereScene:
             )
     port, lamp = (float(np.arcsin(d / sphere.diameter_m)) for d in (sphere.port_diameter_m, sphere.lamp_diameter_m))
     half_field = float(np.arctan(FIELD_MARGIN * _tangent_of_corner(camera)))
-    behind = 0.5 * sphere.port_diameter_m * min(CLOSE, 1 / float(np.tan(half_field)))
-    camera_m = np.array([0.0, 0.0, -radius * np.cos(port) - behind])
-    # The outermost ray, margin included, meets the wall at this angle from the point opposite the port.
-    seen = half_field + float(np.arcsin(np.clip(-camera_m[2] / radius * np.sin(half_field), -1.0, 1.0)))
-    if np.pi - port - seen < 2 * lamp:
+    room = 0.0
+    for close in CLOSE:
+        behind = 0.5 * sphere.port_diameter_m * min(close, 1 / float(np.tan(half_field)))
+        camera_m = np.array([0.0, 0.0, -radius * np.cos(port) - behind])
+        # The outermost ray, margin included, meets the wall at this angle from the point opposite the port.
+        seen = half_field + float(np.arcsin(np.clip(-camera_m[2] / radius * np.sin(half_field), -1.0, 1.0)))
+        for part in LAMP_PLACES:
+            between = np.pi - port - seen
+            room = max(room, float(between))
+            if between * min(part, 1 - part) < lamp:
+                continue
+            angle = seen + part * between
+            scene = SphereScene(
+                radius_m=radius,
+                wall_reflectance=sphere.wall_reflectance,
+                port_half_angle_rad=port,
+                lamp_half_angle_rad=lamp,
+                lamp_direction=np.array([0.0, -np.sin(angle), np.cos(angle)]),
+                baffle=None,
+                camera_m=camera_m,
+            )
+            baffle = _baffle(scene, seen, half_field) if sphere.baffle else None
+            if baffle is not None or not sphere.baffle:
+                return replace(scene, baffle=baffle)
+    if room < 2 * lamp:
         raise ConfigError(
             "no place for the lamp between the port and the wall that the camera sees",
             where="bench.sphere.lamp_diameter_m",
             got=sphere.lamp_diameter_m,
-            expected=f"at most {max(0.0, sphere.diameter_m * np.sin(0.5 * (np.pi - port - seen))):.3f} m for this lens",
+            expected=f"at most {sphere.diameter_m * np.sin(0.5 * room):.3f} m for this lens",
             remedy="a smaller lamp or port, or a lens with a narrower field",
         )
-    angle = 0.5 * (seen + np.pi - port)
-    direction = np.array([0.0, -np.sin(angle), np.cos(angle)])
-    scene = SphereScene(
-        radius_m=radius,
-        wall_reflectance=sphere.wall_reflectance,
-        port_half_angle_rad=port,
-        lamp_half_angle_rad=lamp,
-        lamp_direction=direction,
-        baffle=None,
-        camera_m=camera_m,
+    raise ConfigError(
+        "no baffle fits between the lamp and the wall that the camera sees",
+        where="bench.sphere.baffle",
+        remedy="a smaller lamp or port, a lens with a narrower field, or baffle = false",
     )
-    if not sphere.baffle:
-        return scene
-    return SphereScene(**{**scene.__dict__, "baffle": _baffle(scene, seen, half_field)})
 
 
 def _tangent_of_corner(camera: Camera) -> float:
@@ -128,7 +141,7 @@ def _tangent_of_corner(camera: Camera) -> float:
     return float(np.hypot(x, y))
 
 
-def _baffle(scene: SphereScene, seen: float, half_field: float) -> Baffle:
+def _baffle(scene: SphereScene, seen: float, half_field: float) -> Baffle | None:
     """The nearest disc before the lamp that hides all of it, fits into the sphere and does not stand in the picture."""
     turn = np.linspace(0.0, 2 * np.pi, 96, endpoint=False)
     ring = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=-1)
@@ -159,11 +172,7 @@ def _baffle(scene: SphereScene, seen: float, half_field: float) -> Baffle:
         off_axis = np.arctan2(np.hypot(from_camera[:, 0], from_camera[:, 1]), from_camera[:, 2])
         if np.linalg.norm(border, axis=1).max() < INSIDE * scene.radius_m and off_axis.min() > half_field:
             return Baffle(centre_m=middle, normal=axis, radius_m=radius)
-    raise ConfigError(
-        "no baffle fits between the lamp and the wall that the camera sees",
-        where="bench.sphere.baffle",
-        remedy="a smaller lamp or port, a lens with a narrower field, or baffle = false",
-    )
+    return None
 
 
 def black_body_share_per_nm(temperature_k: float, wavelength_nm: np.ndarray) -> np.ndarray:

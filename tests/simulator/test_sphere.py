@@ -75,7 +75,7 @@ def hidden(scene: SphereScene, begin: np.ndarray, end: np.ndarray) -> np.ndarray
 
 
 @pytest.mark.parametrize("port_m", [0.1, 0.2, 0.3])
-@pytest.mark.parametrize("fx", [100.0, 200.0])
+@pytest.mark.parametrize("fx", [55.0, 100.0, 200.0])
 def test_the_lamp_is_hidden_from_all_that_the_camera_sees(port_m: float, fx: float) -> None:
     """Rationale: an integrating sphere must show no direct light of its lamp.
 
