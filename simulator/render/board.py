@@ -267,6 +267,16 @@ def _line_distance_px(board: Board, foot: _Footprint) -> tuple[Any, Any]:
     return found[0], found[1]
 
 
+def _rim_distance_px(board: Board, foot: _Footprint) -> tuple[Any, Any]:
+    """From a pixel's centre to the nearest edge of the whole board across its x axis, and its y axis. [px]"""
+    found = []
+    for k in range(2):
+        at = foot.point[k]
+        rim = dr.minimum(dr.abs(at - float(board.low_m[k])), dr.abs(at - float(board.high_m[k])))
+        found.append(rim * dr.rsqrt(_square(foot.per_px, k)))
+    return found[0], found[1]
+
+
 def _square(per_px: list[Any], axis: int) -> Any:
     return dr.square(per_px[2 * axis]) + dr.square(per_px[2 * axis + 1])
 
@@ -311,8 +321,8 @@ def _sampled(job: _Job, pixel: Any, kind: Any, count: Any) -> Any:
     sampler = PixelSampler(pixel, job.key, pairs=3)
     foot = _footprint(job, pixel)
     pattern, corner = kind != OUTLINE, kind == CORNER
-    near_x, near_y = _line_distance_px(job.board, foot)
-    by_x = near_x < near_y
+    lines, rims = _line_distance_px(job.board, foot), _rim_distance_px(job.board, foot)
+    by_x = dr.select(pattern, lines[0] < lines[1], rims[0] < rims[1])
     # Unit vector across the nearest line, in the aperture's plane; the image axis that crosses it more steeply.
     across_x, across_y = (dr.select(by_x, foot.per_xy[k], foot.per_xy[2 + k]) for k in range(2))
     unit = dr.rsqrt(across_x * across_x + across_y * across_y)
