@@ -313,13 +313,14 @@ def _adjusted(
     after = rest @ (by_lidar + common) @ rest.T + through @ by_first @ through.T + by_second
     if correction.station.name == reference.station.name:  # the same readings twice
         after -= through @ by_first + by_first @ through.T
-    std_m = _rmse_std(corrected - truth, after)
-    std = relative_rmse(std_m, mean_m)
+    std = relative_rmse(_rmse_std(corrected - truth, after), mean_m)
     residual = first - corrected
     statistic = float(residual @ np.linalg.solve(differences, residual))
     probability = float(chi2.sf(statistic, len(usable) - 2))
     if probability < 1e-3:
-        found.notes.append(f"the residuals of (14) are larger than what is stated explains: p = {probability:.1g}")
+        found.notes.append(
+            f"the residuals of (14) exceed what is stated: chi-square {statistic:.0f}, {len(usable) - 2} degrees of freedom"
+        )
     plain = range_correction_constants(measured, first)
     held_out = _held_out(measured, first, truth, differences)
     k2_std, r2_std = np.sqrt(np.diag(covariance))
@@ -378,10 +379,9 @@ def _adjusted(
 
 
 def _rmse_std(error_m: np.ndarray, covariance: np.ndarray) -> float:
-    """Standard deviation of a root mean square of n errors of known covariance. [m]"""
+    """Standard deviation of a root mean square of n errors of known covariance, at most the errors' own. [m]"""
     count, square = len(error_m), float(np.mean(error_m**2))
     variance = (4.0 * error_m @ covariance @ error_m + 2.0 * np.trace(covariance @ covariance)) / count**2
-    # of the root: linear where the error stands clear of zero, else as wide as the errors themselves
     return float(min(np.sqrt(variance) / (2.0 * np.sqrt(max(square, 1e-30))), np.sqrt(np.trace(covariance) / count)))
 
 

@@ -19,6 +19,7 @@ from evaluator.total_station import StationResult, readings_of
 Report = Callable[[str, int, int], None]
 MIN_OBSERVATIONS = 5  # 9.1.2 c, f
 FULL_OVER_FWHM = 1.699  # of a Gaussian beam: width at 1/e2 over width at half maximum
+BESIDE_SHARE = 0.12  # of a panel's size: centres found and predicted agree far better when the angles are right
 CLASS_MM = {"correction": 10.0, "reference": 5.0}  # 9.1.2 c, k
 
 
@@ -103,7 +104,8 @@ def panel_ranges(
 ) -> tuple[list[PanelRange], dict[str, str]]:
     """Panels seen by the LiDAR, and why the others are not used."""
     panels, not_used = [], {}
-    for name in (p.id for p in line.panels):
+    beside: list[tuple[float, str]] = []
+    for name, size_m in ((p.id, p.size_m) for p in line.panels):
         by_correction, by_reference, ranged = correction.of(name), reference.of(name), found.ranged.get(name, [])
         counts = {
             f"readings of {correction.station.name}": by_correction.readings if by_correction else 0,
@@ -122,6 +124,7 @@ def panel_ranges(
                 for what, count in counts.items()
                 if count < MIN_OBSERVATIONS
             ]
+        beside.append((float(np.mean([r.miss_m for r in ranged])) / size_m, name))
         ranges = np.array([r.range_m for r in ranged])
         panels.append(
             PanelRange(
@@ -135,6 +138,12 @@ def panel_ranges(
                 reference_readings=by_reference.readings if by_reference else 0,
                 points=sum(r.points for r in ranged),
             )
+        )
+    share, name = max(beside, default=(0.0, ""))
+    if share > BESIDE_SHARE:
+        found.notes.append(
+            f"{name} is found {100.0 * share:.0f} % of its size beside where the total station's angles put it: are they "
+            "degrees, clockwise from the frame's y, and the eccentricity in the same frame?"
         )
     return panels, not_used
 

@@ -109,6 +109,7 @@ def test_the_constants_come_back(tmp_path: Path, k2_m: float, r2: float) -> None
     assert mean == pytest.approx(far.mean(), abs=0.003)
     assert len(found.result.panels) == 6 and not found.result.not_used
     assert min(p.scans for p in found.result.panels) == 5
+    assert not {"notes", "left_out", "not_used"} & value.companions.keys()
     assert min(min(p.correction_readings, p.reference_readings) for p in found.result.panels) == 5
 
 

@@ -370,6 +370,25 @@ def test_a_reading_without_a_value_is_left_out_and_named(line: Line) -> None:
     assert (result.panels[0].correction_readings, result.panels[0].reference_readings) == (4, 4)
 
 
+def test_angles_of_another_kind_are_noticed(line: Line) -> None:
+    """Rationale: a total station's file in gon, or counted the other way, still gives plausible distances.
+
+    Expected: a note that names angles (the panels stand beside their predicted places), or no result at all.
+    """
+    plain = list(line.readings)
+    for change in ((1 / 0.9, 1 / 0.9), (-1.0, 1.0)):
+        line.readings = [
+            replace(
+                r,
+                horizontal_angle_deg=(r.horizontal_angle_deg or 0.0) * change[0],
+                zenith_angle_deg=(r.zenith_angle_deg or 0.0) * change[1],
+            )
+            for r in plain
+        ]
+        value = line.evaluate().indicator
+        assert value.value is None or "total station's angles" in str(value.companions["notes"])
+
+
 def test_a_wrong_reading_is_left_out_and_named(line: Line) -> None:
     """A reading 1 m off its four sisters moves nothing: ten times the 10 mm class is the most that is believed."""
     slope = line.readings[5].slope_distance_m
