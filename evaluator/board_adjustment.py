@@ -163,9 +163,7 @@ def adjust(
     s = normal_system(lens, poses, obs, weight)
     if not np.isfinite(s.cost):
         raise EvaluationError("the start values of the calibration do not project the board")
-    damping, k = 1e-4, len(poses.rotation)
-    if not free.any():
-        damping = 1e-6
+    damping = 1e-4
     for iteration in range(1, most + 1):
         try:
             step_lens = np.zeros(9)
@@ -181,13 +179,13 @@ def adjust(
             if damping > 1e12:
                 break
             continue
+        foreseen = float(s.lens_by_image.sum(axis=0) @ step_lens + np.sum(s.pose_right * step_pose))
+        if foreseen <= 1e-12 * s.cost + 1e-20 and damping <= 1e-3:
+            return lens, poses, s, iteration  # a full step gains nothing: here rounding decides which way the cost goes
         new_poses = moved(poses, step_pose)
         trial = normal_system(new_lens, new_poses, obs, weight)
         if trial.cost <= s.cost * (1.0 + 1e-12):
-            done = s.cost - trial.cost <= 1e-10 * s.cost + 1e-20
             lens, poses, s = new_lens, new_poses, trial
-            if done and (damping <= 1e-3 or k == 0):
-                return lens, poses, s, iteration
             damping = max(damping * 0.1, 1e-10)
         else:
             damping *= 10.0

@@ -58,7 +58,7 @@ def test_rotation_exp_is_opencvs_and_orthonormal() -> None:
 
 
 def test_analytic_jacobian_agrees_with_differences() -> None:
-    """Rationale: a wrong derivative converges to a wrong covariance without a sound. Expected: central differences of the projection
+    """Rationale: a wrong derivative converges to a wrong covariance without a sound. Expected: central differences of the pixel
     by all nine lens parameters and six pose increments. Tolerance: 1e-6 relative to the greatest entry of the column (steps of
     1e-5 leave 1e-10, rounding of pixels 1e-7)."""
     rng = np.random.default_rng(5)
