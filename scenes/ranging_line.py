@@ -70,7 +70,6 @@ def build_line(config: Config, rng: np.random.Generator) -> RangingScene:
     bodies, targets, panels, corners = [], [], [], []
     for k in range(len(distance)):
         name = f"R{k + 1:02d}"
-        # one number decides a panel's level, so that the draw of one does not shift the others'
         surface = panel_material(
             ranging.panel_reflectance_percent,
             config.targets.panels.material,

@@ -7,6 +7,7 @@ takes the aircraft's place. The scene stands in `scenes.ranging_line`.
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,6 +36,9 @@ from simulator.radar_equation import unambiguous_range_m
 from simulator.randomness import Stream, generator
 from simulator.scanner import scanner_from
 from simulator.times import BEIJING, utc_from_gps_time
+
+if TYPE_CHECKING:
+    from simulator.render.scene import RenderScene
 
 Report = Callable[[str, int, int], None]
 MARGIN_DEG = 0.6  # of sector and turn round the panels' corners
@@ -158,7 +162,7 @@ def simulate_ranging(config: Config, place: CampaignFolder, start_gps_s: float, 
         progress("ranging", number, scans)
 
 
-def scan(line: Line, render_scene: object, number: int, start_s: float) -> Iterator[ScanPoints]:
+def scan(line: Line, render_scene: "RenderScene", number: int, start_s: float) -> Iterator[ScanPoints]:
     """One scan; every other one turns back."""
     first, last = np.radians(line.turn_deg if number % 2 else line.turn_deg[::-1])
     rate = np.radians(line.config.ranging.turn_rate_deg_s)
@@ -173,7 +177,7 @@ def scan(line: Line, render_scene: object, number: int, start_s: float) -> Itera
     )
     strip = Strip(sortie=0, number=number, heading_deg=0.0, height_m=0.0, start_s=start_s, end_s=end_s, exposure_s=())
     chunks = observe(
-        render_scene,  # type: ignore[arg-type]  # RenderScene is only imported where Mitsuba is
+        render_scene,
         line.config,
         strip,
         table,
