@@ -210,3 +210,20 @@ def test_exposure_and_pattern(small: tuple[Config, CampaignFolder, Lens, float])
         np.testing.assert_allclose(beside, 0.04 / 0.85, rtol=0, atol=0.02, err_msg=f"picture {k}")
     for distance, levels in brightest.items():
         assert max(levels) == pytest.approx(0.7, abs=0.03), distance
+
+
+def test_one_band_and_a_gain_fault(tmp_path: Path) -> None:
+    """Rationale: any camera of one to three bands; a person sets the exposure by what the camera shows, its fault included.
+    Expected: one-band pictures whose brightest whites reach exposure_share although the gain is 1.4 times what it should be.
+    Tolerance: 3 % of full scale, as above.
+    """
+    config = load_config("quickstart", [*SMALL, "bench.chessboard.distances_m=[1.6]", "faults.camera_gain=1.4"])
+    camera = config.camera.model_copy(update={"bands": config.camera.bands[1:2]})
+    place = CampaignFolder(tmp_path)
+    simulate_chessboard(config.model_copy(update={"camera": camera}), place, 1.4e9, lambda *what: None)
+    rows = read_board_log(place.chessboard / "log.csv")
+    assert len(rows) >= 20
+    pictures = [read_picture(place.chessboard / row.image) for row in rows]
+    assert {p.shape for p in pictures} == {(512, 768, 1)}
+    brightest = max(cv2.blur(p[..., 0].astype(float) - camera.black_level_dn, (5, 5)).max() for p in pictures)
+    assert brightest / full_scale_dn(camera) == pytest.approx(0.7, abs=0.03)

@@ -16,6 +16,7 @@ from scenes.chessboard import LAMP_CAMERA_M, Board, board_of, board_scene
 from simulator.bench.chessboard import board_view
 from simulator.bench.placements import Placement, bench_f_number, bench_lens, plan_placements
 from simulator.render import board as renderer
+from simulator.render import start
 from simulator.render.board import BoardView, render_board
 from simulator.render.sampling import frame_words
 from simulator.render.scene import RenderScene, load_scene
@@ -320,15 +321,17 @@ def test_render_is_quieter_than_the_sensor() -> None:
         assert ratio < 1.0
 
 
-def test_any_tile_gives_the_same_bytes() -> None:
-    """Rationale: tiles are memory, not physics. Expected: the same bytes for tiles of 4096 and 2^20 lanes, others for another
-    seed. Tolerance: none.
+def test_any_tile_and_thread_count_gives_the_same_bytes() -> None:
+    """Rationale: tiles and threads are the machine's, not physics. Expected: the same bytes for tiles of 4096 and 2^20 lanes
+    and for one thread, others for another seed. Tolerance: none.
     """
     bench = Bench(*WINDOW, "bench.chessboard.f_number=4.0")
     placement = bench.placed(2.0, (15.0, -12.0), 70.0, (700.0, 200.0))
-    whole, tiles, other = (
-        bench.render(placement, samples=16, seed=seed, tile=tile)
-        for seed, tile in ((1, 1 << 20), (1, 4096), (2, 1 << 20))
-    )
-    assert whole.tobytes() == tiles.tobytes()
+    whole, other = (bench.render(placement, samples=16, seed=seed) for seed in (1, 2))
     assert whole.tobytes() != other.tobytes()
+    start(threads=1)
+    try:
+        tiles = bench.render(placement, samples=16, tile=4096)
+    finally:
+        start()
+    assert whole.tobytes() == tiles.tobytes()
