@@ -24,7 +24,15 @@ from evaluator.camera_calibration import Calibration, calibrate
 from evaluator.camera_model import ideal_px, undistorted_px
 from evaluator.load import in_folder
 from evaluator.model import CampaignData, EvaluationError
-from evaluator.observe.chessboard import BoardCorners, find_corners, grey_picture, is_symmetric, oriented, seen_size
+from evaluator.observe.chessboard import (
+    BoardCorners,
+    NoBoard,
+    find_corners,
+    grey_picture,
+    is_symmetric,
+    oriented,
+    seen_size,
+)
 from evaluator.results_model import IndicatorValue, not_measured
 
 LEAST_IMAGES = 4  # below, nothing is computed; 9.2.2 asks for 20
@@ -171,7 +179,7 @@ def _observe(data: CampaignData, board: BoardSheet, progress: Report) -> _Seen:
     todo = [row for row in data.bench.board_log if row.image in sizes and row.image not in seen.not_used]
     camera = data.camera if data.camera and (data.camera.width_px, data.camera.height_px) == common else None
 
-    def look(row: BoardExposure) -> BoardCorners | str:
+    def look(row: BoardExposure, thorough: bool) -> BoardCorners | TestrangeError:
         try:
             picture = read_picture(folder / row.image)
             return find_corners(
@@ -180,22 +188,33 @@ def _observe(data: CampaignData, board: BoardSheet, progress: Report) -> _Seen:
                 board.inner_rows,
                 black_level=camera.black_level_dn if camera and picture.dtype == np.uint16 else 0.0,
                 full_scale=2**camera.bit_depth - 1 if camera and picture.dtype == np.uint16 else None,
+                thorough=thorough,
             )
         except TestrangeError as error:
-            return in_folder(error, root)
+            return error
         except (cv2.error, np.linalg.LinAlgError) as error:
-            return f"no chessboard found: {' '.join(str(error).split())}"
+            return NoBoard("no chessboard found", got=error)
 
     progress("chessboard", 0, len(todo))
-    boards: list[BoardCorners] = []
+    results: list[BoardCorners | TestrangeError] = []
     with ThreadPoolExecutor(_THREADS) as pool:
-        for done, (row, found) in enumerate(zip(todo, pool.map(look, todo)), 1):
-            if isinstance(found, str):
-                seen.not_used[row.image] = found
-            else:
-                seen.rows.append(row)
-                boards.append(found)
-            progress("chessboard", done, len(todo))
+        for found in pool.map(lambda row: look(row, False), todo):
+            results.append(found)
+            progress("chessboard", len(results), len(todo))
+        # Where the quick search finds no board at all, the slow one must find one in three pictures to go on.
+        again = [i for i, found in enumerate(results) if isinstance(found, NoBoard)]
+        first = again[:_HINT_PICTURES] if len(again) == len(todo) else again
+        for part in (first, again[len(first) :]):
+            if part is first or any(not isinstance(results[i], NoBoard) for i in first):
+                for i, found in zip(part, pool.map(lambda i: look(todo[i], True), part)):
+                    results[i] = found
+    boards: list[BoardCorners] = []
+    for row, found in zip(todo, results, strict=True):
+        if isinstance(found, BoardCorners):
+            seen.rows.append(row)
+            boards.append(found)
+        else:
+            seen.not_used[row.image] = in_folder(found, root)
     seen.boards = oriented(boards)
     return seen
 

@@ -22,10 +22,15 @@ _ATTEMPTS = (
     (1600, cv2.CALIB_CB_EXHAUSTIVE),
     (3200, cv2.CALIB_CB_EXHAUSTIVE),
 )
+_QUICK = 2  # of them take a tenth of a second; the others seconds, where there is no board
 _MOST_RADIUS_PX = 20.0  # of a corner's window: beyond it corners hardly gain
 _LEAST_RADIUS_PX = 3.2
 _SATURATED = 0.05  # share of the board's pixels at full scale
 _FULL_SCALES = (255, 1023, 4095, 16383, 65535)
+
+
+class NoBoard(EvaluationError):
+    """A picture in which no board of the stated size was found."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,10 +77,10 @@ def _reduced(grey: np.ndarray, side: int) -> np.ndarray:
     return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))
 
 
-def _find(grey: np.ndarray, columns: int, rows: int) -> tuple[np.ndarray, float] | None:
+def _find(grey: np.ndarray, columns: int, rows: int, thorough: bool) -> tuple[np.ndarray, float] | None:
     """(rows, columns, 2) corners to about a pixel of the reduced picture, image axes at full resolution, and that pixel's size."""
     tried: set[tuple[int, int]] = set()
-    for side, flags in _ATTEMPTS:
+    for side, flags in _ATTEMPTS if thorough else _ATTEMPTS[:_QUICK]:
         attempt = (min(side, max(grey.shape)), flags)
         if attempt in tried:
             continue
@@ -211,7 +216,13 @@ def _check_saturation(picture: np.ndarray, uv: np.ndarray, full_scale: int | Non
 
 
 def find_corners(
-    picture: np.ndarray, columns: int, rows: int, *, black_level: float = 0.0, full_scale: int | None = None
+    picture: np.ndarray,
+    columns: int,
+    rows: int,
+    *,
+    black_level: float = 0.0,
+    full_scale: int | None = None,
+    thorough: bool = True,
 ) -> BoardCorners:
     """The inner corners of one board.
 
@@ -226,6 +237,8 @@ def find_corners(
     full_scale : int, optional
         Greatest DN of the sensor; without it 255, 1023, 4095, 16383 and 65535 are taken for one where they are the picture's
         greatest.
+    thorough : bool
+        Search also in larger pictures, which takes seconds where there is no board.
 
     Returns
     -------
@@ -235,13 +248,15 @@ def find_corners(
 
     Raises
     ------
+    NoBoard
+        No board of this size.
     EvaluationError
-        No board of this size, saturated, or more than one corner in fifty cannot be fitted.
+        Saturated, or more than one corner in fifty cannot be fitted.
     """
     grey = grey_picture(picture, black_level)
-    found = _find(grey, columns, rows)
+    found = _find(grey, columns, rows, thorough)
     if found is None:
-        raise EvaluationError("no chessboard found", expected=f"{columns} x {rows} inner corners, all of them visible")
+        raise NoBoard("no chessboard found", expected=f"{columns} x {rows} inner corners, all of them visible")
     uv, coarse = found
     _check_saturation(picture, uv, full_scale)
     along, down = _neighbour_steps(uv)

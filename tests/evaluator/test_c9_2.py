@@ -1,5 +1,6 @@
 """Clause 9.2: formulas (16) and (19), what stands beside M_z, and every folder that gives no figure but a reason."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
@@ -15,6 +16,7 @@ from evaluator.c9_2_camera_geometry import evaluate_chessboard, mean_reprojectio
 from evaluator.c9_2_companions import coverage_of, positions_of, radial_at_corner_px, uncertainty_of
 from evaluator.camera_model import lens_vector
 from evaluator.model import BenchData, CampaignData, EvaluationError
+from evaluator.observe.chessboard import NoBoard
 
 COLUMNS, ROWS, SQUARE_M = 8, 5, 0.04
 SIZE = (400, 300)
@@ -282,6 +284,37 @@ def test_one_distance(campaign: CampaignData) -> None:
     tilted = evaluate(campaign, list(campaign.bench.board_log[5:10]))
     assert tilted.indicator.value is not None
     assert "1 distance, where 9.2.2 d asks for 4" in tilted.indicator.companions["notes"]  # type: ignore[operator]
+
+
+def test_the_slow_search_is_only_for_boards_that_exist(campaign: CampaignData, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rationale: the slow search takes seconds for each large picture: a wrong board.json must not cost minutes, one hard picture
+    must not be given up. Expected: no board anywhere: three pictures are searched slowly; one board found quickly: every other one
+    is; a board that only the slow search finds opens it for all. Tolerance: exact."""
+    slow: list[int] = []
+
+    def find(rule: Callable[[int, bool], bool]) -> Callable[..., object]:
+        def stub(picture: np.ndarray, columns: int, rows: int, *, thorough: bool, **_: object) -> object:
+            which = int(picture[0, 0, 0])
+            if thorough:
+                slow.append(which)
+            if rule(which, thorough):
+                raise EvaluationError("found")  # stands for any picture in which a board is
+            raise NoBoard("no chessboard found")
+
+        return stub
+
+    for i in range(6):
+        cv2.imwrite(str(campaign.folder.chessboard / f"stub_{i}.png"), np.full((SIZE[1], SIZE[0]), i, np.uint8))
+    log = named(*(f"stub_{i}.png" for i in range(6)))
+    for rule, expected in (
+        (lambda which, thorough: False, [0, 1, 2]),
+        (lambda which, thorough: which == 4, [0, 1, 2, 3, 5]),
+        (lambda which, thorough: thorough, [0, 1, 2, 3, 4, 5]),
+    ):
+        slow.clear()
+        monkeypatch.setattr("evaluator.c9_2_camera_geometry.find_corners", find(rule))
+        evaluate(campaign, log)
+        assert sorted(slow) == expected
 
 
 def test_wrong_board_size(campaign: CampaignData) -> None:
