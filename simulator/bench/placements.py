@@ -106,7 +106,7 @@ def plan_placements(config: Config) -> tuple[Placement, ...]:
     board, lens = board_of(config.bench.chessboard), bench_lens(config)
     size = np.array([config.camera.width_px, config.camera.height_px], float)
     tilt = config.bench.chessboard.tilt_deg
-    distances = sorted(config.bench.chessboard.distances_m)
+    distances = sorted(set(config.bench.chessboard.distances_m))
     plan: list[Placement] = []
     for index, distance in enumerate(distances):
         pixels = board.square_m * lens.fx_px / distance
@@ -127,7 +127,8 @@ def plan_placements(config: Config) -> tuple[Placement, ...]:
         tilts = tilt * np.array([(0.75, 0.65), (-0.75, 0.65), (-0.7, -0.7), (0.7, -0.7)])[k % 4] * rng.uniform(0.9, 1)
         distance = distances[-1 - k % len(distances)]
         placement = _fitting(board, lens, size, distance, tilts, (roll, roll - 90.0, 0.0), share)
-        assert placement is not None  # the walk found a place at this distance
+        if placement is None:
+            raise _too_large(board, distance)
         plan.append(placement)
     return tuple(plan)
 
@@ -190,15 +191,19 @@ def _grid(
         tilts = tilt * rng.uniform(0.9, 1) * np.round([np.cos(turn), np.sin(turn)])
         placement = _fitting(board, lens, size, distance, tilts, (JITTER_ROLL_DEG * rng.uniform(-1, 1), 0.0), share)
         if placement is None:
-            raise ConfigError(
-                "the chessboard with its margin does not fit into the field",
-                where=f"bench.chessboard.distances_m {distance}",
-                got=f"{board.width_m:.2f} x {board.height_m:.2f} m",
-                expected="a board smaller than the field at every distance",
-                remedy="lower bench.chessboard.square_m or squares, or raise that distance",
-            )
+            raise _too_large(board, distance)
         placements.append(placement)
     return placements
+
+
+def _too_large(board: Board, distance: float) -> ConfigError:
+    return ConfigError(
+        "the chessboard with its margin does not fit into the field",
+        where=f"bench.chessboard.distances_m {distance}",
+        got=f"{board.width_m:.2f} x {board.height_m:.2f} m",
+        expected="a board smaller than the field at every distance",
+        remedy="lower bench.chessboard.square_m or squares, or raise that distance",
+    )
 
 
 def _fitting(
