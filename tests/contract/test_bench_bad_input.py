@@ -52,7 +52,7 @@ def evaluated(root: Path) -> dict[str, dict]:
 
     write_manifest(root, read_manifest(root))
     evaluate(root, root.parent / "results", lambda stage, done, total: None)
-    return read_results(root.parent / "results")
+    return read_results(root.parent / "results" / "results.json")
 
 
 def rows_of(path: Path) -> tuple[list[str], list[dict[str, str]]]:
@@ -223,5 +223,5 @@ def test_hostile_files(copy: Path, file: str, content: bytes, capsys: pytest.Cap
     assert "internal error" not in told
     assert not out.exists()
     assert cli.call(["evaluate", str(copy), "--out", str(out), "--quiet", "--keep-going"]) == 0
-    measured = [n for n, b in read_results(out)["indicators"].items() if b["value"] is not None]
+    measured = [n for n, b in read_results(out / "results.json")["indicators"].items() if b["value"] is not None]
     assert len(measured) >= 3
