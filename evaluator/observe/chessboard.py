@@ -22,6 +22,7 @@ _ATTEMPTS = (
     (1600, cv2.CALIB_CB_EXHAUSTIVE),
     (3200, cv2.CALIB_CB_EXHAUSTIVE),
 )
+_NEAR = ((-1, -1), (1, 1), (-1, 0), (0, -1), (1, 0), (0, 1), (-1, 1), (1, -1))
 _QUICK = 2  # of them take a tenth of a second; the others seconds, where there is no board
 _MOST_RADIUS_PX = 20.0  # of a corner's window: beyond it corners hardly gain
 _LEAST_RADIUS_PX = 3.2
@@ -98,14 +99,18 @@ def _find(grey: np.ndarray, columns: int, rows: int, thorough: bool) -> tuple[np
 def seen_size(grey: np.ndarray, columns: int, rows: int) -> tuple[int, int] | None:
     """Inner corners (columns, rows) of the board that a picture seems to hold, when the stated one is not found: to tell the user.
 
-    The search takes any board of at least half the stated size and grows it as far as it goes.
+    One row or column more or fewer is tried first (squares counted in the place of corners), then whatever board OpenCV can grow
+    from half the size; only a size that is then found exactly is told.
     """
-    least = (max(columns // 2, 3), max(rows // 2, 3))
-    small = _eight_bit(_reduced(grey, 1000))
+    small = _eight_bit(_reduced(grey, _ATTEMPTS[0][0]))
+    near = [(columns + i, rows + j) for i, j in _NEAR if columns + i >= 3 and rows + j >= 3]
     for flags in (0, cv2.CALIB_CB_NORMALIZE_IMAGE):
+        least = (max(columns // 2, 3), max(rows // 2, 3))
         found, _, meta = cv2.findChessboardCornersSBWithMeta(small, least, flags | cv2.CALIB_CB_LARGER)
-        if found and meta is not None and len(np.shape(meta)) == 2:
-            return int(meta.shape[1]), int(meta.shape[0])
+        grown = [(int(meta.shape[1]), int(meta.shape[0]))] if found and np.ndim(meta) == 2 else []
+        for size in [*near, *grown]:
+            if min(size) >= 3 and size != (columns, rows) and cv2.findChessboardCornersSB(small, size, flags=flags)[0]:
+                return size
     return None
 
 
