@@ -89,8 +89,7 @@ def flight_lens(data: CampaignData, chessboard: ChessboardResult) -> tuple[Campa
     why = _unfit(data, camera, chessboard)
     if why and camera.calibration is not None:
         return data, f"{stated}; the calibration of 9.2 does not serve: {why}"
-    covariance = np.asarray(chessboard.covariance)
-    covariance = 0.5 * (covariance + covariance.T)
+    covariance = _cautious(chessboard)
     own = Certificate(
         certificate="9.2 of this campaign",
         date=data.manifest.date,
@@ -101,6 +100,19 @@ def flight_lens(data: CampaignData, chessboard: ChessboardResult) -> tuple[Campa
     if chessboard.focus_distance_m is None:
         line += "; its focus setting is not recorded"
     return replace(data, camera=camera.model_copy(update={"calibration": own})), line
+
+
+def _cautious(chessboard: ChessboardResult) -> np.ndarray:
+    """(9, 9) covariance with the larger of two standard deviations for each parameter: corners independent, or images only.
+
+    A board that is not quite plane shifts all corners of an image together; then only images can be taken as independent.
+    """
+    covariance = np.asarray(chessboard.covariance)
+    std = np.sqrt(np.diag(covariance))
+    by_image = np.asarray(chessboard.indicator.companions.get("std_by_image", std), dtype=np.float64)
+    factor = np.maximum(by_image / std, 1.0)
+    widened = covariance * np.outer(factor, factor)
+    return np.asarray(0.5 * (widened + widened.T))
 
 
 def _unfit(data: CampaignData, camera: CameraSheet, chessboard: ChessboardResult) -> str | None:

@@ -258,7 +258,8 @@ def _remarks(found: Found) -> dict[str, object]:
 def _evaluate(data: CampaignData, progress: Report, found: Found) -> RangingResult:
     line = data.ranging.line
     if line is None:
-        raise EvaluationError(unread(data, "ranging/line.json") or "no ranging/line.json in this campaign")
+        absent = "no ranging/line.json" if data.folder.ranging.is_dir() else "no ranging/"
+        raise EvaluationError(unread(data, "ranging/line.json") or f"{absent} in this campaign")
     if not data.ranging.readings:
         raise EvaluationError(unread(data, "ranging/total_station.csv") or "no reading in ranging/total_station.csv")
     found.left_out += unknown_stations(line, data.ranging.readings)

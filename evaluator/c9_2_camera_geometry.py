@@ -135,9 +135,10 @@ def evaluate_chessboard(data: CampaignData, progress: Report) -> ChessboardResul
     """
     board = data.bench.board
     if board is None or not data.bench.board_log:
-        missing = "board.json" if board is None else "log.csv with a row for each image"
+        missing = "/board.json" if board is None else "/log.csv with a row for each image"
+        missing = missing if data.folder.chessboard.is_dir() else ""
         broken = next((p for p in data.problems if "bench/chessboard" in p), None)
-        return ChessboardResult(indicator=_no_value(broken or f"no bench/chessboard/{missing}"))
+        return ChessboardResult(indicator=_no_value(broken or f"no bench/chessboard{missing} in this campaign"))
     try:
         seen = _observe(data, board, progress)
     except TestrangeError as error:

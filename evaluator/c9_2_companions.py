@@ -191,6 +191,7 @@ def companions_of(
         "distances_m": [float(distance_m[[i.position == p for i in images]].mean()) for p in range(positions)],
         "images_by_position": [sum(i.position == p for i in images) for p in range(positions)],
         "coverage_cells": list(CELLS),
+        "coverage_counts": coverage.tolist(),
         "coverage_by_position": [float(np.mean(count > 0)) for count in coverage],
         "coverage": float(np.mean(coverage.sum(axis=0) > 0)),
         "tilt_deg": [float(tilt.min()), float(tilt.max())],

@@ -12,7 +12,13 @@ TINY = Path(__file__).parents[1] / "data" / "tiny.toml"
 # Values of faults and seed that no other number of a campaign equals by chance.
 MICRO = (
     "seed=918273645",
-    'campaign.parts=["camera", "lidar"]',
+    "bench.sphere.window_px=[64, 48]",
+    "bench.chessboard.squares=[14, 9]",
+    "bench.chessboard.square_m=0.055",
+    "bench.chessboard.margin_m=0.02",
+    "bench.chessboard.distances_m=[1.0, 1.1, 1.2, 1.35]",
+    "bench.chessboard.f_number=8.0",
+    "bench.chessboard.samples=16",
     "flight.heights_m=[22.0]",
     "flight.headings_deg=[0.0]",
     "lidar.prr_hz=200000.0",
