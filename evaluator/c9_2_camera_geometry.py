@@ -150,6 +150,7 @@ def evaluate_chessboard(data: CampaignData, progress: Report) -> ChessboardResul
         return _evaluate(data, board, seen)
     except (TestrangeError, np.linalg.LinAlgError, cv2.error) as error:
         reason = in_folder(error, data.folder.root) if isinstance(error, TestrangeError) else f"no calibration: {error}"
+        reason += _larger_board(data, board, seen)
         found = [row.image for row in seen.rows]
         indicator = _no_value(reason, boards_found=found, not_used=dict(seen.not_used))
         return ChessboardResult(indicator=indicator, image_size_px=size, not_used=seen.not_used)
@@ -240,6 +241,16 @@ def _too_few(data: CampaignData, board: BoardSheet, seen: _Seen) -> tuple[str]:
             )
     first = next(iter(seen.not_used.items()), None)
     return (f"no board of {stated} in any of {of} images" + (f"; for example {first[0]}: {first[1]}" if first else ""),)
+
+
+def _larger_board(data: CampaignData, board: BoardSheet, seen: _Seen) -> str:
+    """What to add where a calibration failed because only a part of a larger board was looked for."""
+    if len(seen.boards) < LEAST_IMAGES:
+        return ""
+    name = seen.rows[0].image
+    size = _hint(data.folder.chessboard / name, board)
+    stated = f"{board.inner_columns} x {board.inner_rows} inner corners"
+    return f"; {name} seems to show {size[0]} x {size[1]}, board.json states {stated}" if size else ""
 
 
 def _hint(path: Path, board: BoardSheet) -> tuple[int, int] | None:

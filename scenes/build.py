@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from campaign.config import Config
-from campaign.errors import ConfigError
 from scenes.frustums import (
     PLATE_THICKNESS_M,
     FrustumMaterials,
@@ -18,7 +17,7 @@ from scenes.layout import BORDER_M, Spot, place_targets
 from scenes.model import Material, Mesh, Scene, Target
 from scenes.panels import panel_body
 from scenes.shapes import Body, placed
-from scenes.spectra import material, panel_material
+from scenes.spectra import ground_material, material, panel_material
 from scenes.streams import LAYOUT, SPECTRA, TERRAIN, stream
 from scenes.terrain import Terrain, make_terrain, terrain_mesh
 
@@ -114,11 +113,9 @@ def build_scene(config: Config) -> Scene:
         Targets do not fit (6.2.3), a size is impossible, or a material is unknown.
     """
     site, frustums = config.site, config.targets.frustums
-    try:
-        ground = material(site.ground_material)
-    except ConfigError as error:
-        raise ConfigError(error.what, where="site.ground_material", got=repr(site.ground_material)) from error
-    ground = replace(ground, texture_contrast=site.texture_contrast, texture_scale_m=site.texture_scale_m)
+    ground = replace(
+        ground_material(site), texture_contrast=site.texture_contrast, texture_scale_m=site.texture_scale_m
+    )
     coating = material(frustums.material)
     materials = [
         ground,

@@ -11,7 +11,7 @@ from campaign.config import Config
 from campaign.errors import ConfigError
 from scenes.model import Layout, Mesh, Scene, Target
 from scenes.shapes import Body, body, box, joined
-from scenes.spectra import material, panel_material
+from scenes.spectra import ground_material, material, panel_material
 
 PART_FACE, PART_STAND = 12, 10
 THICKNESS_M = 0.02
@@ -66,7 +66,7 @@ def build_line(config: Config, rng: np.random.Generator) -> RangingScene:
         )
     centre, normal = _places(distance, ranging.panel_size_m, rng)
     ground_m = -max(GROUND_M, 0.5 * ranging.panel_size_m + HEIGHT_SPREAD_M + 0.5)
-    materials = [material(config.site.ground_material), material("concrete"), material("metal_stand")]
+    materials = [ground_material(config.site), material("concrete"), material("metal_stand")]
     bodies, targets, panels, corners = [], [], [], []
     for k in range(len(distance)):
         name = f"R{k + 1:02d}"

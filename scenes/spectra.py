@@ -21,6 +21,7 @@ from difflib import get_close_matches
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from campaign.config import Site
 from campaign.errors import ConfigError
 from scenes.model import Material
 
@@ -121,6 +122,20 @@ def material(name: str) -> Material:
         opposition_gain=gain,
         opposition_width_rad=width,
     )
+
+
+def ground_material(site: Site) -> Material:
+    """The site's ground, without texture.
+
+    Raises
+    ------
+    ConfigError
+        Unknown name.
+    """
+    try:
+        return material(site.ground_material)
+    except ConfigError as error:
+        raise ConfigError(error.what, where="site.ground_material", got=repr(site.ground_material)) from error
 
 
 def panel_material(level_percent: float, base_material: str, rng: np.random.Generator, spread: float) -> Material:

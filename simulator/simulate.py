@@ -41,6 +41,11 @@ def simulate_campaign(config: Config, out: Path, progress: Report = silent, only
     parts = frozenset(config.campaign.parts) if only is None else only
     place = CampaignFolder(out)
     start_s = gps_time_from_iso(config.campaign.start_time)
+    flies = bool(parts & {"camera", "lidar"}) or not parts & {"bench", "ranging"}
+    progress("scene", 0, 1)
+    _refuse_early(config, parts)
+    world = prepare_range(config) if flies else None
+    progress("scene", 1, 1)
     _write_sensors(config, place)
     bench = _simulate_bench(config, place, start_s, progress) if "bench" in parts else None
     ranging = None
@@ -51,10 +56,28 @@ def simulate_campaign(config: Config, out: Path, progress: Report = silent, only
         ranging = true_ranging(config)
     scene: Scene | None = None
     motions: dict[int, Motion] = {}
-    if parts & {"camera", "lidar"} or not parts & {"bench", "ranging"}:
-        scene, motions = _fly(config, place, parts, progress)
+    if world is not None:
+        scene, motions = _fly(world, place, parts, progress)
     record_truth.write(config, scene, motions, SiteFrame(config.site), out, bench, ranging)
     _write_manifest(config, start_s, out)
+
+
+def _refuse_early(config: Config, parts: frozenset[str]) -> None:
+    """What cannot be built is refused before the first minute of rendering.
+
+    Raises
+    ------
+    ConfigError
+        A board that does not fit the field, a line that the LiDAR cannot measure.
+    """
+    if "bench" in parts:
+        from simulator.bench.placements import plan_placements
+
+        plan_placements(config)
+    if "ranging" in parts:
+        from simulator.ranging import prepare_line
+
+        prepare_line(config)
 
 
 def _simulate_bench(config: Config, place: CampaignFolder, start_s: float, progress: Report) -> truth_files.TrueBench:
@@ -80,17 +103,15 @@ def _simulate_bench(config: Config, place: CampaignFolder, start_s: float, progr
 
 
 def _fly(
-    config: Config, place: CampaignFolder, parts: frozenset[str], progress: Report
+    world: Range, place: CampaignFolder, parts: frozenset[str], progress: Report
 ) -> tuple[Scene, dict[int, Motion]]:
     """Survey, plan and trajectories, then what the sensors saw."""
     from simulator.fly_camera import fly_camera
     from simulator.fly_lidar import fly_lidar
 
-    progress("scene", 0, 1)
-    world = prepare_range(config)
+    config = world.config
     _write_survey(world, place)
     records.write_plan(place.plan, paperwork.flight_plan(config, world.scene, world.sorties, world.frame))
-    progress("scene", 1, 1)
     for sortie, estimated in zip(world.sorties, world.estimated, strict=True):
         folder = place.sortie(sortie.number)
         folder.root.mkdir(parents=True)
