@@ -99,6 +99,15 @@ class Frustums(Model):
     material: Literal["barium_sulfate", "ptfe", "water_based_paint"] = "barium_sulfate"
 
 
+class Boards(Model):
+    """2x2 boards: four squares, black and white by turns, flat on low stands. They determine the camera's mounting alone."""
+
+    count: Annotated[int, Field(ge=0, le=100)] = 0
+    size_m: Positive = Field(1.0, description="edge of the whole board")
+    thickness_m: Positive = 0.02
+    stand_height_m: NonNegative = 0.1
+
+
 class Survey(Model):
     """Standard deviations of the control survey, one axis each."""
 
@@ -110,6 +119,7 @@ class Survey(Model):
 class Targets(Model):
     panels: Panels = Panels()
     frustums: Frustums = Frustums()
+    boards: Boards = Boards()
     survey: Survey = Survey()
     layout_margin: Annotated[float, Field(ge=0.0, lt=0.5)] = Field(
         0.10, description="part of the common field kept free at its border"
@@ -253,6 +263,9 @@ class Platform(Model):
     lidar: Mounting = Mounting(lever_arm_m=(-0.05, -0.02, 0.12))
     mounting_boresight_std_deg: Positive = Field(1.0, description="how far the true mounting may be off, prior")
     mounting_lever_arm_std_m: Positive = Field(0.10, description="the same for the lever arm")
+    mounting_clock_std_s: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        0.0, description="prior of each sensor's clock against navigation; 0: synchronised, not estimated"
+    )
 
 
 class Flight(Model):
@@ -263,6 +276,11 @@ class Flight(Model):
     strips_per_heading: Annotated[int, Field(ge=1, le=50)] = 1
     side_overlap: Annotated[float, Field(ge=0.0, lt=0.95)] = 0.7
     speed_m_s: Annotated[float, Field(gt=0.0, le=60.0)] = 5.0
+    speeds_m_s: (
+        Annotated[tuple[Annotated[float, Field(gt=0.0, le=60.0)], ...], Field(min_length=1, max_length=12)] | None
+    ) = Field(
+        None, description="one for each of heights_m, in the place of speed_m_s; two speeds tell clocks from lever arms"
+    )
     images_per_strip: Annotated[int, Field(ge=1, le=500)] = 2
     image_spacing_m: Positive = Field(6.0, description="between exposures, symmetric about the strip's middle")
     run_in_m: NonNegative = Field(4.0, description="LiDAR on, before and after the range, on each strip")
@@ -292,6 +310,16 @@ class Faults(Model):
     lidar_clock_s: float = 0.0
     range_offset_m: float = Field(0.0, description="measured = true + offset + scale * true")
     range_scale: float = 0.0
+    principal_distance_px: float = Field(
+        0.0, description="added to fx and fy of the true lens; the certificate ignores it"
+    )
+    principal_point_px: tuple[float, float] = Field((0.0, 0.0), description="the same for cx, cy")
+    k1: float = Field(0.0, description="the same for k1")
+    survey_target: str | None = Field(
+        None, description="id of a target whose surveyed place is wrong by survey_error_m"
+    )
+    survey_error_m: Vector3 = Field((0.0, 0.0, 0.0), description="east north up, added to the surveyed place")
+    swapped_targets: tuple[str, str] | None = Field(None, description="ids of two targets whose names the survey swaps")
     lidar_gain: Positive = Field(1.0, description="factor on the received power")
     camera_gain: Positive = 1.0
 

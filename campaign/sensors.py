@@ -76,6 +76,9 @@ class MountingSheet(Model):
     )
     boresight_std_deg: Annotated[float, Field(ge=1e-6, le=45.0)]
     lever_arm_std_m: Annotated[float, Field(ge=1e-6, le=10.0)]
+    clock_std_s: Annotated[float, Field(ge=0.0, le=10.0)] = Field(
+        0.0, description="of the sensor's time stamps against navigation; 0: synchronised, not estimated"
+    )
 
 
 class NavigationSheet(Model):

@@ -26,11 +26,12 @@ from campaign.formats.text import (
 class SurveyedTarget:
     """One row of targets.csv. Map coordinates: easting, northing (projected CRS of the manifest), normal height.
 
-    The point is the centre of the top face of a panel, or the centre of the mark of a frustum target.
+    The point is the centre of the top face of a panel or of a 2x2 board, or the centre of the mark of a frustum target. A
+    board is white where its own x and y (y along the azimuth, x to its right) have the same sign.
     """
 
     id: str  # letters, digits, "_", "-"; unique
-    kind: str  # "panel" | "frustum"
+    kind: str  # "panel" | "frustum" | "board"
     easting_m: float
     northing_m: float
     height_m: float
@@ -38,7 +39,7 @@ class SurveyedTarget:
     northing_std_m: float
     height_std_m: float
     azimuth_deg: float  # grid direction of the target's own +y edge normal, clockwise from grid north
-    size_m: float  # panel: edge of the square; frustum: long edge b of the large rim
+    size_m: float  # panel, board: edge of the square; frustum: long edge b of the large rim
     nominal_reflectance_percent: float | None = None  # panels
     style: str | None = None  # frustums: "inverted" | "upright"
     thickness_m: float | None = None  # frustums: sheet metal
@@ -62,7 +63,7 @@ MAX_SITE_M = 20_000.0  # no range is wider; beyond, the coordinates are in anoth
 MATERIALS = ("barium_sulfate", "ptfe", "water_based_paint")
 TARGET_COLUMNS: dict[str, Parse] = {
     "id": identifier,
-    "kind": one_of("panel", "frustum"),
+    "kind": one_of("panel", "frustum", "board"),
     "easting_m": number,
     "northing_m": number,
     "height_m": number,
@@ -82,6 +83,7 @@ TARGET_COLUMNS: dict[str, Parse] = {
 # What a target of one kind must state beside the columns that all have.
 _NEEDED = {
     "panel": ("nominal_reflectance_percent",),
+    "board": (),
     "frustum": ("style", "thickness_m", "vertex_faces", "vertex_offset_m", "mark_radius_m"),
 }
 

@@ -132,6 +132,7 @@ def rig_sheet(config: Config) -> Rig:
             axes=axes,
             boresight_std_deg=platform.mounting_boresight_std_deg,
             lever_arm_std_m=platform.mounting_lever_arm_std_m,
+            clock_std_s=platform.mounting_clock_std_s,
         )
 
     return Rig(
