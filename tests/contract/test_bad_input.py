@@ -64,9 +64,11 @@ def refused(capsys: pytest.CaptureFixture[str], place: Path, arguments: list[str
 
 @pytest.fixture(scope="session")
 def thin(tiny_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The small campaign's first sortie without truth/: half the bytes to copy for each damage."""
+    """The small campaign's first sortie without truth/ and benches: few bytes to copy for each damage."""
     place = tmp_path_factory.mktemp("thin") / "campaign"
-    shutil.copytree(tiny_run / "campaign", place, ignore=shutil.ignore_patterns("truth", "02", "*_points.laz"))
+    shutil.copytree(
+        tiny_run / "campaign", place, ignore=shutil.ignore_patterns("truth", "02", "*_points.laz", "bench", "ranging")
+    )
     write_manifest(place, read_manifest(place))
     return place
 
