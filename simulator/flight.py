@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from campaign.config import Config
+from campaign.errors import ConfigError
 from scenes.model import Layout
 from simulator.motion import Motion, Strip
 from simulator.randomness import Stream, generator
@@ -107,17 +108,37 @@ def _wind_world(config: Config) -> np.ndarray:
     return -config.environment.wind_speed_m_s * np.array([np.sin(a), np.cos(a), 0.0])
 
 
-def trigger_lead_m(config: Config, line: Line) -> float:
+def speeds_m_s(config: Config) -> tuple[float, ...]:
+    """Ground speed of each sortie, in the order of `flight.heights_m`. [m/s]
+
+    Raises
+    ------
+    ConfigError
+        `flight.speeds_m_s` has another length than `flight.heights_m`.
+    """
+    flight = config.flight
+    if flight.speeds_m_s is None:
+        return (flight.speed_m_s,) * len(flight.heights_m)
+    if len(flight.speeds_m_s) != len(flight.heights_m):
+        raise ConfigError(
+            "one speed for each height",
+            where="flight.speeds_m_s",
+            got=f"{len(flight.speeds_m_s)} speeds",
+            expected=f"{len(flight.heights_m)}, as many as flight.heights_m",
+        )
+    return flight.speeds_m_s
+
+
+def trigger_lead_m(config: Config, line: Line, speed_m_s: float) -> float:
     """How far past the middle of a strip the body is when its camera, leaning by the mean pitch, looks at that middle. [m]"""
-    air_speed = config.flight.speed_m_s - float(_wind_world(config) @ line.direction)
+    air_speed = speed_m_s - float(_wind_world(config) @ line.direction)
     return -line.height_m * float(np.tan(np.radians(config.platform.pitch_per_speed_deg_s_m * air_speed)))
 
 
-def _fly_sortie(config: Config, lines: list[Line], number: int, start_s: float) -> Sortie:
+def _fly_sortie(config: Config, lines: list[Line], speed: float, number: int, start_s: float) -> Sortie:
     flight, platform = config.flight, config.platform
     rng = generator(config.seed, Stream.FLIGHT, number)
     limit = STABLE_ACCELERATION_SHARE * platform.max_acceleration_m_s2
-    speed = flight.speed_m_s
     # Pieces of the design path: (polynomial, duration, heading at start, heading at end)
     pieces: list[tuple[np.ndarray, float, float, float]] = []
     starts: list[float] = []
@@ -193,7 +214,7 @@ def _fly_sortie(config: Config, lines: list[Line], number: int, start_s: float) 
             ),
         )
         for k, (line, begin) in enumerate(zip(lines, starts, strict=True))
-        for lead in (trigger_lead_m(config, line),)
+        for lead in (trigger_lead_m(config, line, speed),)
     )
     motion = Motion(
         gps_time_s=start_s + t,
@@ -208,8 +229,9 @@ def fly(config: Config, layout: Layout) -> tuple[Sortie, ...]:
     """Fly every height, one sortie each; the first strip of the first sortie begins at campaign.start_time."""
     sorties: list[Sortie] = []
     start = gps_time_from_iso(config.campaign.start_time) - SETTLE_S
-    for number, height in enumerate(config.flight.heights_m, start=1):
-        sortie = _fly_sortie(config, design_lines(config, layout, height), number, start)
+    speeds = speeds_m_s(config)
+    for number, (height, speed) in enumerate(zip(config.flight.heights_m, speeds, strict=True), start=1):
+        sortie = _fly_sortie(config, design_lines(config, layout, height), speed, number, start)
         sorties.append(sortie)
         start = float(np.ceil(sortie.motion.gps_time_s[-1])) + BETWEEN_SORTIES_S
     for before, after in pairwise(sorties):

@@ -7,7 +7,8 @@ from campaign.records import EnvironmentRow, FlightPlan, PlannedStrip
 from campaign.survey import Spectra, SurveyedTarget
 from scenes.model import Scene, Target
 from scenes.sunsky import sun_sky
-from simulator.flight import Sortie, design_lines
+from simulator.faults import faulty_survey
+from simulator.flight import Sortie, design_lines, speeds_m_s
 from simulator.frames import SiteFrame
 from simulator.navigation import navigation_std
 from simulator.randomness import Stream, generator
@@ -25,10 +26,18 @@ def surveyed_targets(config: Config, scene: Scene, frame: SiteFrame) -> list[Sur
     rng = generator(config.seed, Stream.SURVEY)
     marks = frame.map_from_world(np.stack([target.mark_m for target in scene.targets]))
     drawn = marks + rng.standard_normal(marks.shape) * std
-    return [_surveyed(target, point, std, frame) for target, point in zip(scene.targets, drawn, strict=True)]
+    places, origin = faulty_survey(config, tuple(target.id for target in scene.targets), drawn)
+    measured = [scene.targets[k] for k in origin]
+    return [
+        _surveyed(target, at, point, std, frame)
+        for target, at, point in zip(scene.targets, measured, places, strict=True)
+    ]
 
 
-def _surveyed(target: Target, point_m: np.ndarray, std_m: np.ndarray, frame: SiteFrame) -> SurveyedTarget:
+def _surveyed(
+    target: Target, measured: Target, point_m: np.ndarray, std_m: np.ndarray, frame: SiteFrame
+) -> SurveyedTarget:
+    """The row of `target`; `measured` is the one at which the surveyors stood."""
     offset = None if target.vertex_m is None else round(float(target.vertex_m[2] - target.mark_m[2]), 6)
     return SurveyedTarget(
         id=target.id,
@@ -39,7 +48,7 @@ def _surveyed(target: Target, point_m: np.ndarray, std_m: np.ndarray, frame: Sit
         easting_std_m=float(std_m[0]),
         northing_std_m=float(std_m[1]),
         height_std_m=float(std_m[2]),
-        azimuth_deg=round(frame.grid_azimuth_deg(target.azimuth_deg, target.mark_m), 3),
+        azimuth_deg=round(frame.grid_azimuth_deg(measured.azimuth_deg, measured.mark_m), 3),
         size_m=target.size_m,
         nominal_reflectance_percent=target.nominal_reflectance_percent,
         style=target.style,
@@ -126,7 +135,7 @@ def flight_plan(config: Config, scene: Scene, sorties: tuple[Sortie, ...], frame
     site, flight, camera = config.site, config.flight, config.camera
     strips = []
     ends = []
-    for sortie, height in zip(sorties, flight.heights_m, strict=True):
+    for sortie, height, speed in zip(sorties, flight.heights_m, speeds_m_s(config), strict=True):
         for strip, line in zip(sortie.strips, design_lines(config, scene.layout, height), strict=True):
             points = frame.map_from_world(np.stack([line.start_m, line.end_m]))
             ends += [line.start_m, line.end_m]
@@ -136,7 +145,7 @@ def flight_plan(config: Config, scene: Scene, sorties: tuple[Sortie, ...], frame
                     strip=strip.number,
                     heading_deg=line.heading_deg,
                     height_m=height,
-                    speed_m_s=flight.speed_m_s,
+                    speed_m_s=speed,
                     start_en_m=(round(float(points[0, 0]), 3), round(float(points[0, 1]), 3)),
                     end_en_m=(round(float(points[1, 0]), 3), round(float(points[1, 1]), 3)),
                     images=len(strip.exposure_s),

@@ -12,6 +12,7 @@ from scenes.model import Scene, Target
 from scenes.spectra import band_reflectance, reflectance_at
 from simulator import camera as camera_maths
 from simulator import rig
+from simulator.faults import true_lens
 from simulator.frames import SiteFrame
 from simulator.motion import Motion
 from simulator.navigation import trajectory_of
@@ -66,7 +67,7 @@ def write(
             seed=config.seed,
             camera=camera,
             lidar=lidar,
-            lens=config.camera.lens,
+            lens=true_lens(config),
             camera_clock_s=faults.camera_clock_s,
             lidar_clock_s=faults.lidar_clock_s,
             range_offset_m=faults.range_offset_m,

@@ -14,6 +14,7 @@ from campaign.folder import CampaignFolder, SortieFolder
 from campaign.threads import one_blas_thread
 from scenes.model import Scene
 from simulator import paperwork, record_truth, rig
+from simulator.faults import with_true_lens
 from simulator.flight import SETTLE_S, Sortie
 from simulator.frames import SiteFrame
 from simulator.motion import Motion
@@ -43,11 +44,12 @@ def simulate_campaign(config: Config, out: Path, progress: Report = silent, only
     start_s = gps_time_from_iso(config.campaign.start_time)
     flies = bool(parts & {"camera", "lidar"}) or not parts & {"bench", "ranging"}
     progress("scene", 0, 1)
-    _refuse_early(config, parts)
+    optics = with_true_lens(config)  # sheets, plan and truth/campaign.toml state the configured lens
+    _refuse_early(optics, parts)
     world = prepare_range(config) if flies else None
     progress("scene", 1, 1)
     _write_sensors(config, place)
-    bench = _simulate_bench(config, place, start_s, progress) if "bench" in parts else None
+    bench = _simulate_bench(optics, place, start_s, progress) if "bench" in parts else None
     ranging = None
     if "ranging" in parts:
         from simulator.ranging import simulate_ranging, true_ranging

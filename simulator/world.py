@@ -7,6 +7,7 @@ from campaign.config import Config
 from scenes.build import build_scene
 from scenes.model import Scene, SunSky
 from scenes.sunsky import sun_sky
+from simulator.faults import require_targets, with_true_lens
 from simulator.flight import Sortie, fly
 from simulator.frames import SiteFrame
 from simulator.motion import Motion
@@ -25,7 +26,7 @@ def silent(stage: str, done: int, total: int) -> None:
 class Range:
     """What one simulation works with."""
 
-    config: Config
+    config: Config  # with the true lens in camera.lens
     frame: SiteFrame
     scene: Scene
     render_scene: RenderScene
@@ -34,12 +35,16 @@ class Range:
 
 
 def prepare_range(config: Config) -> Range:
-    """Build the scene, fly it, and draw the navigation's errors. Nothing is rendered or written."""
+    """Build the scene, fly it, and draw the navigation's errors. Nothing is rendered or written.
+
+    Layout and flight follow the lens that the configuration states: a fault of the true one changes pictures and nothing else.
+    """
     fixed = config.model_copy(update={"seed": config.seed if config.scene_seed is None else config.scene_seed})
     scene = build_scene(fixed)
+    require_targets(config, tuple(target.id for target in scene.targets))
     sorties = fly(fixed, scene.layout)
     return Range(
-        config=config,
+        config=with_true_lens(config),
         frame=SiteFrame(config.site),
         scene=scene,
         render_scene=load_scene(scene),

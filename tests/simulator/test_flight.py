@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from campaign.config import Config
+from campaign.errors import ConfigError
 from campaign.load import load_config
 from scenes.model import Layout
-from simulator.flight import exposure_offsets_m, fly
+from simulator.flight import exposure_offsets_m, fly, speeds_m_s
 from simulator.motion import Motion
 
 LAYOUT = Layout(camera_half_m=(23.0, 15.4), lidar_half_m=31.0, cone_half_m=45.0, field_half_m=(13.0, 12.0))
@@ -93,3 +94,50 @@ def test_a_larger_field_gives_longer_strips(config: Config) -> None:
     strip = fly(config, wide)[0].strips[2]
     assert strip.heading_deg == 90.0
     assert (strip.end_s - strip.start_s) * config.flight.speed_m_s == pytest.approx(2 * (20.0 + 4.0), rel=1e-6)
+
+
+def test_each_height_has_its_own_speed(config: Config) -> None:
+    """Rationale: two speeds tell a clock from a lever arm. Expected: each sortie at its speed, its exposures where the one
+    speed has them (the same place to the lean's difference), and the plan's rows say so.
+
+    Tolerance: 10 % of speed as above; the centre exposure within four standard deviations of attitude and track.
+    """
+    two = config.model_copy(
+        update={"flight": config.flight.model_copy(update={"speeds_m_s": (3.0, 9.0), "heights_m": (45.0, 65.0)})}
+    )
+    assert speeds_m_s(two) == (3.0, 9.0)
+    assert speeds_m_s(config) == (config.flight.speed_m_s,) * 2
+    for sortie, speed, height in zip(fly(two, LAYOUT), (3.0, 9.0), (45.0, 65.0), strict=True):
+        motion = sortie.motion
+        acceleration = np.gradient(motion.velocity_world_m_s, motion.gps_time_s, axis=0)
+        assert np.linalg.norm(acceleration, axis=1).max() <= config.platform.max_acceleration_m_s2
+        sigma = np.hypot(height * np.radians(config.platform.pitch_std_deg), config.platform.track_std_m)
+        for strip in sortie.strips:
+            on = _during(motion, strip.start_s, strip.end_s)
+            assert np.abs(np.linalg.norm(motion.velocity_world_m_s[on, :2], axis=1) / speed - 1.0).max() < 0.10
+            assert (strip.end_s - strip.start_s) * speed == pytest.approx(
+                2 * (LAYOUT.field_half_m[0 if strip.heading_deg in (90.0, 270.0) else 1] + two.flight.run_in_m)
+            )
+            times = np.array(strip.exposure_s)
+            assert np.diff(times) * speed == pytest.approx(two.flight.image_spacing_m, abs=1e-6)
+            down = motion.world_from_body(times)[:, :, 2]
+            place = motion.position(times)
+            ground = place[:, :2] - down[:, :2] * (place[:, 2:] / down[:, 2:])
+            along = np.array([np.sin(np.radians(strip.heading_deg)), np.cos(np.radians(strip.heading_deg))])
+            assert np.abs(ground @ along).min() < 4.0 * sigma
+
+
+def test_speeds_and_heights_go_together(config: Config) -> None:
+    """Expected: one line that says how many."""
+    flight = config.flight.model_copy(update={"speeds_m_s": (3.0, 5.0, 7.0)})
+    with pytest.raises(ConfigError, match=r"flight\.speeds_m_s: one speed for each height; got 3 speeds; expected 2"):
+        fly(config.model_copy(update={"flight": flight}), LAYOUT)
+
+
+def test_the_same_speed_twice_is_the_one_speed(config: Config) -> None:
+    """Rationale: stating speeds one by one must not change the draws. Expected: bit for bit the same motion."""
+    flight = config.flight.model_copy(update={"speeds_m_s": (config.flight.speed_m_s,) * 2})
+    a, b = fly(config, LAYOUT), fly(config.model_copy(update={"flight": flight}), LAYOUT)
+    for one, other in zip(a, b, strict=True):
+        assert np.array_equal(one.motion.position_world_m, other.motion.position_world_m)
+        assert one.strips == other.strips
