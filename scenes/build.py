@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from campaign.config import Config
+from scenes.boards import board_body
 from scenes.frustums import (
     PLATE_THICKNESS_M,
     FrustumMaterials,
@@ -71,6 +72,22 @@ def _frustum(config: Config, spot: Spot, name: str, terrain: Terrain) -> tuple[T
     return target, float(mark[2]) - low + STAND_DEPTH_M
 
 
+def _board(config: Config, spot: Spot, name: str, terrain: Terrain) -> tuple[Target, float]:
+    """The target, and how far its stand reaches below its top face."""
+    boards = config.targets.boards
+    low, high = _ground_under(terrain, spot, boards.size_m / np.sqrt(2.0))
+    top = high + spot.stand_height_m + boards.thickness_m
+    target = Target(
+        id=name,
+        kind="board",
+        mark_m=np.array([spot.x_m, spot.y_m, top]),
+        azimuth_deg=spot.azimuth_deg,
+        size_m=boards.size_m,
+        material_name=config.targets.frustums.material,
+    )
+    return target, top - low + STAND_DEPTH_M
+
+
 def _merged(ground: tuple[np.ndarray, np.ndarray], bodies: list[Body]) -> Mesh:
     """Ground first (material 0, no owner), then the targets in order."""
     vertices, faces = [ground[0]], [ground[1]]
@@ -104,8 +121,8 @@ def build_scene(config: Config) -> Scene:
     Returns
     -------
     Scene
-        Targets: panels P01... and then frustums F01..., each in the order of the layout's grid. Materials: ground,
-        metal, plate, coating of the faces, white and black of the mark, then one for each panel.
+        Targets: panels P01..., then frustums F01..., then boards B01..., each in the order of the layout's grid. Materials:
+        ground, metal, plate, coating of the faces, white and black of marks and boards, then one for each panel.
 
     Raises
     ------
@@ -132,7 +149,7 @@ def build_scene(config: Config) -> Scene:
     rng = stream(config.seed, SPECTRA)
     targets: list[Target] = []
     bodies: list[Body] = []
-    numbers = {"panel": 0, "frustum": 0}
+    numbers = {"panel": 0, "frustum": 0, "board": 0}
     width = max(2, len(str(len(spots))))
     for spot in spots:
         numbers[spot.kind] += 1
@@ -144,6 +161,9 @@ def build_scene(config: Config) -> Scene:
             target, depth = _panel(config, spot, name, surface, terrain)
             piece = panel_body(panels, len(materials), indices.metal, depth)
             materials.append(surface)
+        elif spot.kind == "board":
+            target, depth = _board(config, spot, name, terrain)
+            piece = board_body(config.targets.boards, indices.white, indices.black, indices.metal, depth)
         else:
             target, depth = _frustum(config, spot, name, terrain)
             piece = frustum_body(frustums, indices, depth)

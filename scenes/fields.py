@@ -21,6 +21,8 @@ def _highest_m(config: Config, half_m: float) -> float:
     tops = [panels.stand_height_m + panels.thickness_m]
     if frustums.count:
         tops.append(max(frustums.stand_heights_m, default=0.0) + PLATE_THICKNESS_M + top_m(frustums))
+    if config.targets.boards.count:
+        tops.append(config.targets.boards.stand_height_m + config.targets.boards.thickness_m)
     fall = np.radians(site.slope_azimuth_deg)
     rise = np.tan(np.radians(site.slope_deg)) * half_m * (abs(np.sin(fall)) + abs(np.cos(fall)))
     return float(max(tops) + rise + WOBBLE_SIGMAS * site.relief_m)

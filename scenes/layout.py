@@ -1,7 +1,8 @@
 """Where targets stand (6.2.3): the centre and the four corners of the common field, and an even cover of all of it.
 
-A grid with odd numbers of rows and columns has a node at the centre and at each corner. Frustums take these five; kinds,
-reflectance levels and stand heights are then spread so that like stands far from like. The field itself: `fields`.
+A grid with odd numbers of rows and columns has a node at the centre and at each corner. Frustums take these five, or 2x2
+boards where there is no frustum; kinds, reflectance levels and stand heights are then spread so that like stands far from
+like. The field itself: `fields`.
 """
 
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ import numpy as np
 
 from campaign.config import Config
 from campaign.errors import ConfigError
+from scenes import boards as board_shape
 from scenes.fields import common_field
 from scenes.frustums import plate_edge_m
 from scenes.model import Layout
@@ -26,7 +28,7 @@ CORNERS_AND_CENTRE = 5
 class Spot:
     """One place for one target."""
 
-    kind: str  # "panel" | "frustum"
+    kind: str  # "panel" | "frustum" | "board"
     x_m: float
     y_m: float
     azimuth_deg: float
@@ -81,6 +83,8 @@ def largest_radius_m(config: Config) -> float:
     radii = [half_diagonal_m(config.targets.panels)]
     if config.targets.frustums.count:
         radii.append(plate_edge_m(config.targets.frustums) / np.sqrt(2.0))
+    if config.targets.boards.count:
+        radii.append(board_shape.half_diagonal_m(config.targets.boards))
     return float(max(radii))
 
 
@@ -101,9 +105,11 @@ def _node_half_m(config: Config, layout: Layout) -> tuple[float, float]:
     return max(layout.field_half_m[0] - radius, 0.0), max(layout.field_half_m[1] - radius, 0.0)
 
 
-def _target_count(config: Config) -> tuple[int, int]:
+def _target_count(config: Config) -> tuple[int, int, int]:
+    """Frustums, panels, boards."""
     panels = config.targets.panels
-    return config.targets.frustums.count, len(panels.nominal_reflectance_percent) * panels.count_of_each
+    of_panels = len(panels.nominal_reflectance_percent) * panels.count_of_each
+    return config.targets.frustums.count, of_panels, config.targets.boards.count
 
 
 def _refuse(config: Config, step_m: float, layout: Layout) -> ConfigError:
@@ -148,7 +154,7 @@ def _drop_surplus(points_m: np.ndarray, keep: np.ndarray, surplus: int, rng: np.
 
 
 def place_targets(config: Config, rng: np.random.Generator) -> tuple[Layout, tuple[Spot, ...]]:
-    """Field at the lowest planned height and a place for every target, panels first.
+    """Field at the lowest planned height and a place for every target: panels, then frustums, then boards.
 
     Raises
     ------
@@ -163,8 +169,8 @@ def place_targets(config: Config, rng: np.random.Generator) -> tuple[Layout, tup
             expected="one or more heights in metres",
         )
     layout = common_field(config, min(config.flight.heights_m))
-    frustum_count, panel_count = _target_count(config)
-    count = frustum_count + panel_count
+    frustum_count, panel_count, board_count = _target_count(config)
+    count = frustum_count + panel_count + board_count
     half = _node_half_m(config, layout)
     columns, rows, step = _best_grid(count, half)
     spare = step - minimum_spacing_m(config)
@@ -195,15 +201,17 @@ def place_targets(config: Config, rng: np.random.Generator) -> tuple[Layout, tup
     moved[special] = points[special]  # the five that 6.2.3 a names stay exactly there
     points = np.clip(moved, [-half[0], -half[1]], [half[0], half[1]])
 
-    kind = np.zeros(count, dtype=int)  # 1: frustum
+    kind = np.zeros(count, dtype=int)  # 1: frustum, 2: board
     fixed = np.zeros(count, dtype=bool)
-    first = special[:frustum_count]
-    kind[first], fixed[first] = 1, True
+    first = special[: frustum_count or board_count]
+    kind[first], fixed[first] = 1 if frustum_count else 2, True
     others = np.flatnonzero(~fixed)
-    kind[others[: frustum_count - len(first)]] = 1
+    frustums_left, boards_left = frustum_count - np.sum(kind == 1), board_count - np.sum(kind == 2)
+    kind[others[:frustums_left]] = 1
+    kind[others[frustums_left : frustums_left + boards_left]] = 2
     kind = spread_labels(points, kind, fixed, rng)
 
-    is_frustum, is_panel = np.flatnonzero(kind == 1), np.flatnonzero(kind == 0)
+    is_panel, is_frustum, is_board = (np.flatnonzero(kind == k) for k in range(3))
     panels, frustums = config.targets.panels, config.targets.frustums
     level = np.repeat(np.arange(len(panels.nominal_reflectance_percent)), panels.count_of_each)
     level = spread_labels(points[is_panel], level, np.zeros(panel_count, dtype=bool), rng)
@@ -229,5 +237,15 @@ def place_targets(config: Config, rng: np.random.Generator) -> tuple[Layout, tup
             stand_height_m=frustums.stand_heights_m[k],
         )
         for i, k in zip(is_frustum, stand, strict=True)
+    ]
+    spots += [
+        Spot(
+            kind="board",
+            x_m=float(points[i, 0]),
+            y_m=float(points[i, 1]),
+            azimuth_deg=float(rng.uniform(0.0, 360.0)),
+            stand_height_m=config.targets.boards.stand_height_m,
+        )
+        for i in is_board
     ]
     return layout, tuple(spots)

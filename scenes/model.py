@@ -31,7 +31,7 @@ class Mesh:
     material: np.ndarray  # (f,) int32 index into Scene.materials
     target: np.ndarray  # (f,) int32 index into Scene.targets, -1: ground, stands' owner is the target they carry
     # (f,) int8: frustum face 0-3 inner, 4-7 outer (the side at azimuth + 90 k is k and 4 + k), 8 plate, 9 mark,
-    # 10 support or stand, 11 rim; panel top 12; -1 else
+    # 10 support or stand, 11 rim; panel top 12; board top 13; -1 else
     part: np.ndarray
 
 
@@ -39,11 +39,11 @@ class Mesh:
 class Target:
     """A placed target and its true geometry."""
 
-    id: str  # "P01" panels, "F01" frustums
-    kind: str  # "panel" | "frustum"
-    mark_m: np.ndarray  # (3,) world: panel: centre of its top face; frustum: centre of the mark
+    id: str  # "P01" panels, "F01" frustums, "B01" boards
+    kind: str  # "panel" | "frustum" | "board"
+    mark_m: np.ndarray  # (3,) world: panel, board: centre of its top face; frustum: centre of the mark
     azimuth_deg: float  # of the target's +y axis, clockwise from the world's +y (true north)
-    size_m: float  # panel edge or long edge b
+    size_m: float  # edge of a panel or board, or long edge b
     vertex_m: np.ndarray | None = None  # (3,) world: where the stated faces meet
     style: str | None = None
     thickness_m: float | None = None
