@@ -167,6 +167,14 @@ def resolve_config(path: Path | str) -> Path:
     return _named("campaigns", str(given), "configuration")
 
 
+def resolve_study(path: Path | str) -> Path:
+    """The file that a path, or the bare name of a ready-made study, means."""
+    given = Path(path)
+    if given.is_file() or len(given.parts) != 1 or given.suffix == ".toml":
+        return given
+    return _named("studies", str(given), "study")
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file of at most 1 MB."""
     try:

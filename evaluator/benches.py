@@ -15,6 +15,7 @@ from evaluator.c8_2_camera_radiometry import evaluate_sphere
 from evaluator.c9_1_lidar_ranging import evaluate_ranging
 from evaluator.c9_2_camera_geometry import evaluate_chessboard
 from evaluator.model import CampaignData
+from evaluator.photon_transfer import PhotonTransfer, photon_transfer
 from evaluator.results_model import IndicatorValue
 
 Report = Callable[[str, int, int], None]
@@ -29,6 +30,7 @@ class Benches:
     sphere: SphereResult
     chessboard: ChessboardResult
     ranging: RangingResult
+    photon_transfer: PhotonTransfer | None
 
     @property
     def indicators(self) -> dict[str, IndicatorValue]:
@@ -47,6 +49,7 @@ def evaluate_benches(data: CampaignData, progress: Report) -> Benches:
         sphere=evaluate_sphere(data, progress),
         chessboard=evaluate_chessboard(data, progress),
         ranging=evaluate_ranging(data, progress),
+        photon_transfer=photon_transfer(data),
     )
 
 

@@ -22,6 +22,7 @@ from evaluator.c8_3_reflectance_consistency import evaluate_reflectance_consiste
 from evaluator.c9_3_calibration import CalibrationResult, evaluate_calibration
 from evaluator.conformity import ConformityInputs, conformity_rows
 from evaluator.coverage import targets_in_images, targets_outside_images, targets_outside_strips
+from evaluator.diagnosis import deviations, suspects
 from evaluator.frames import WorldFrame
 from evaluator.geometry import GeometryResult, observe_marks, search_radius_px, solve_geometry
 from evaluator.georeference import TargetReturns, collect_target_returns, nominal_mountings
@@ -84,6 +85,7 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
     data = read_campaign(root)
     findings = _Findings(problems=list(data.problems), root=root)
     benches = evaluate_benches(data, progress)
+    certificate = data.camera.calibration if data.camera else None
     data, lens_source = flight_lens(data, benches.chessboard)
     _outside(targets_outside_images(data), strict, findings)
     returns = _returns_near_targets(data, findings, progress)
@@ -104,6 +106,7 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
     if p_m.value is not None:
         p_m = replace(p_m, companions={**p_m.companions, "interior_orientation": lens_source})
     progress("calibration error", 1, 1)
+    solution = geometry.solution if geometry else None
     indicators = benches.indicators | {
         "lidar_reflectance_rmse": m_f,
         "reflectance_correlation": r_f,
@@ -121,7 +124,7 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
         synthetic=data.manifest.synthetic,
         indicators=indicators,
         conformity=tuple(conformity_rows(data, measured)),
-        mounting=geometry.solution if geometry else None,
+        mounting=solution,
         mounting_reason=geometry_reason,
         mounting_prior_std=_prior_std(data),
         problems=tuple(findings.problems),
@@ -140,6 +143,8 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
         sphere=benches.sphere,
         chessboard=benches.chessboard,
         ranging=benches.ranging,
+        deviations=deviations(solution, benches.chessboard, certificate, benches.ranging, benches.photon_transfer),
+        survey_doubts=suspects(solution.rejected, [t.id for t in data.targets]) if solution else (),
     )
 
 

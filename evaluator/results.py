@@ -15,6 +15,7 @@ import numpy as np
 from evaluator.bench_model import ChessboardResult, RangingResult, SphereResult
 from evaluator.c10_1_grading import GRADE_ZH, GROUPS, INDICATORS, Grade, grade, group_grades
 from evaluator.conformity.model import Row
+from evaluator.diagnosis import Deviation, diagnosis_block
 from evaluator.model import (
     CampaignData,
     EvaluationError,
@@ -110,6 +111,8 @@ class Evaluation:
     sphere: SphereResult | None = None
     chessboard: ChessboardResult | None = None
     ranging: RangingResult | None = None
+    deviations: tuple[Deviation, ...] = ()  # what was stated against what was found
+    survey_doubts: tuple[str, ...] = ()  # targets whose surveyed place the observations contradict
 
     @property
     def root(self) -> Path | None:
@@ -321,6 +324,7 @@ def build_results(evaluation: Evaluation) -> dict[str, Any]:
                 for r in evaluation.conformity
             ],
             "mounting": mounting_block(evaluation),
+            "diagnosis": diagnosis_block(evaluation.deviations, evaluation.survey_doubts),
             "problems": evaluation.problems,
         },
         evaluation.root,

@@ -10,6 +10,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from campaign.atomic import complete_folder
 from campaign.config import Config, Part
@@ -18,6 +19,9 @@ from evaluator.model import EvaluationError
 from evaluator.results import Evaluation, write_results
 from evaluator.score import Score, score_campaign, write_score
 from testrange.progress import ProgressCallback
+
+if TYPE_CHECKING:
+    from testrange.faults import FaultMatrix, FaultStudy
 
 KEEP_GOING = "testrange evaluate --keep-going"
 
@@ -171,3 +175,16 @@ def picture(run_folder: Path, out: Path, progress: ProgressCallback) -> None:
     evaluation = evaluate_campaign(campaign, progress)
     with complete_file(out) as work:
         hero_picture(work, evaluation)
+
+
+def faults(
+    study: "FaultStudy", out: Path, progress: ProgressCallback, settings: Sequence[str] = (), *, replace: bool = False
+) -> "FaultMatrix":
+    """Runs a fault matrix into `out`: matrix.json, and NN/results.json of every case."""
+    from evaluator.results import write_json
+    from testrange.faults import matrix_block, run_matrix
+
+    with complete_folder(out, replace) as work:
+        matrix = run_matrix(study, work, progress, settings)
+        write_json(work / "matrix.json", matrix_block(matrix))
+    return matrix

@@ -1,7 +1,7 @@
 """What the command line prints: the table of indicators, what does not conform, the score. At most 100 columns."""
 
 import sys
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -11,6 +11,9 @@ from rich.text import Text
 from evaluator.c10_1_grading import GRADE_ZH, GROUPS, INDICATORS, Grade, group_grades
 from evaluator.results import Evaluation, shown_decimals
 from evaluator.score import Score, decimals
+
+if TYPE_CHECKING:
+    from testrange.faults import FaultMatrix
 
 WIDTH = 100
 _COLOUR: dict[Grade, str] = {
@@ -137,3 +140,22 @@ def summary(evaluation: Evaluation, score: Score | None, **more: Any) -> dict[st
         "max_abs_z": None if score is None else score.max_abs_z,
         **more,
     }
+
+
+def print_faults(matrix: "FaultMatrix", out: Console) -> None:
+    """One row a fault: where it shows, its z there, and the verdict; then the pairs that this flight cannot tell apart."""
+    title = f"fault matrix, |z| > {matrix.limit:.2f} is a deviation"
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for name in ("fault", "shows at", "verdict"):
+        table.add_column(name)
+    for r in matrix.results:
+        z = {row["quantity"]: row["z"] for row in r.rows}
+        shown = [f"{q} {z[q]:+.1f}" for q in r.beyond(matrix.limit)] + [f"survey of {t}" for t in r.doubts]
+        verdict = r.verdict(matrix.limit)
+        table.add_row(
+            r.case.name, ", ".join(shown) or "–", Text(verdict, "green" if verdict == "as injected" else "red")
+        )
+    out.print(table)
+    for first, second, rho in matrix.results[0].pairs:
+        out.print(f"  not separable by this flight: {first}, {second} (correlation {rho:+.3f})")
+    out.print(f"{matrix.right} of {len(matrix.results)} as injected")
