@@ -10,8 +10,14 @@ import scipy.linalg
 import scipy.stats
 
 from evaluator.frames import euler_angles
-from evaluator.model import EvaluationError, MarkObservation, Mounting, MountingSolution, VertexObservation
-from evaluator.mounting_model import PARAMETER_NAMES, Problem, System, mounting_of
+from evaluator.model import (
+    EvaluationError,
+    MarkObservation,
+    Mounting,
+    MountingSolution,
+    VertexObservation,
+)
+from evaluator.mounting_model import Problem, System, mounting_of
 
 # An observation is a blunder when its test's tail probability falls below this.
 _BLUNDER = 1e-5
@@ -44,7 +50,8 @@ def _gauss_newton(system: System, x: np.ndarray, most_iterations: int = 30) -> _
     """Iterates until no parameter moves by more than 1e-3 of its standard deviation.
 
     The covariance, through which navigation errors pass with the geometry, is formed anew only while a step turns a mounting
-    by more than 1 mrad or moves one by more than a centimetre: below that it changes by less than a thousandth.
+    by more than 1 mrad or moves one by more than a centimetre (a clock's steps move the poses by less): below that it changes by
+    less than a thousandth.
     """
     factor: np.ndarray | None = None
     for iteration in range(1, most_iterations + 1):
@@ -131,13 +138,18 @@ def describe_vertex(vertex: VertexObservation) -> str:
     return f"vertex of {vertex.target} in strip {vertex.strip} (sortie {vertex.sortie})"
 
 
+def describe_place(target: str) -> str:
+    """The line that names a surveyed place among the rejected."""
+    return f"surveyed place of {target}"
+
+
 def _describe(problem: Problem, system: System, group: int) -> str:
     c, v = len(problem.marks), len(problem.vertices)
     if group < c:
         return describe_mark(problem.marks[group])
     if group < c + v:
         return describe_vertex(problem.vertices[group - c])
-    return f"surveyed place of {system.targets[group - c - v]}"
+    return describe_place(system.targets[group - c - v])
 
 
 def _without(problem: Problem, system: System, groups: list[int]) -> Problem:
@@ -186,52 +198,62 @@ def _product_covariance(nominal: tuple[Mounting, Mounting], x: np.ndarray, covar
     return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
-def _check(problem: Problem) -> None:
-    if not problem.marks or not problem.vertices:
-        missing = "mark in any image" if not problem.marks else "vertex in any strip"
-        raise EvaluationError(f"no {missing}: the mountings cannot be solved together")
-    both = {o.target for o in problem.marks} & {o.target for o in problem.vertices}
-    if len(both) < 4:
+def _check(problem: Problem, sensors: tuple[str, ...]) -> None:
+    """Enough was seen by every one of `sensors`."""
+    sets = []
+    for sensor, observations, what in (
+        ("camera", problem.marks, "mark in any image"),
+        ("lidar", problem.vertices, "vertex in any strip"),
+    ):
+        if sensor not in sensors:
+            continue
+        if not observations:
+            of = "the mountings cannot be solved together" if len(sensors) == 2 else "its mounting cannot be solved"
+            raise EvaluationError(f"no {what}: {of}")
+        sets.append({o.target for o in observations})
+    common = set.intersection(*sets)
+    if len(common) < 4:
         raise EvaluationError(
-            "too few targets seen by both sensors", got=len(both), expected="at least 4 for the twelve parameters"
+            "too few targets seen by both sensors"
+            if len(sensors) == 2
+            else f"too few targets seen by the {sensors[0]}",
+            got=len(common),
+            expected=f"at least 4 for the {'twelve' if len(sensors) == 2 else 'six'} parameters",
         )
 
 
-def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray | None = None) -> MountingSolution:
-    """Both mountings from all marks and vertices.
+@dataclass(frozen=True, kw_only=True)
+class Solved:
+    """The last fit, with what is left of the observations."""
 
-    Parameters
-    ----------
-    problem : Problem
-    snoop : bool
-        Reject blunders and estimate the variance factors of marks and vertices; False takes everything as it is.
-    start : (12,) np.ndarray, optional
-        First values of the parameters; the drawing's mountings when absent.
+    system: System
+    fit: _Fit
+    rejected: list[str]
+    factors: np.ndarray  # (2,) variance factors of marks and vertices
 
-    Returns
-    -------
-    MountingSolution
-        `companions` hold the variance factors and correlations beyond 0.95.
+    @property
+    def redundancy(self) -> int:
+        return len(self.fit.residual) - len(self.fit.x)
 
-    Raises
-    ------
-    EvaluationError
-        Too few observations, no convergence, or more than a quarter of the observations rejected.
+    @property
+    def sigma0(self) -> float:
+        freedom = self.redundancy
+        return float(np.sqrt(self.fit.residual @ self.fit.residual / freedom)) if freedom > 0 else 1.0
 
-    References
-    ----------
-    GB/T 41450-2022, 9.3.2 h-i, formula (23), for two mountings and with surveyed places as weighted observations; Baarda, A
-    testing procedure for use in geodetic networks, 1968.
-    """
-    _check(problem)
+
+def fit_problem(problem: Problem, *, snoop: bool, start: np.ndarray | None, sensors: tuple[str, ...]) -> Solved:
+    """Fits, rejects and rescales until nothing changes."""
+    _check(problem, sensors)
     total = len(problem.marks) + len(problem.vertices)
     rejected: list[str] = []
     factors = np.ones(2)
-    x12 = np.zeros(12) if start is None else np.asarray(start, dtype=np.float64)
+    first = None if start is None else np.asarray(start, dtype=np.float64)
     scaled = problem
     for _round in range(40):
         system = System(scaled)
-        fit = _gauss_newton(system, np.concatenate([x12, system.places.ravel()]))
+        if first is None:
+            first = np.zeros(system.count)
+        fit = _gauss_newton(system, np.concatenate([first, system.places.ravel()]))
         if not snoop:
             break
         statistic, freedom = _snooping(system, fit)
@@ -246,7 +268,7 @@ def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray |
             break
         step = np.where(changed, np.clip(ratio, 0.1, 10.0), 1.0)
         factors = factors * step
-        x12 = fit.x[:12]
+        first = fit.x[: system.count]
         rejected += [_describe(scaled, system, g) for g in worst]
         if len(rejected) > _MOST_REJECTED * total:
             raise EvaluationError(
@@ -255,48 +277,114 @@ def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray |
                 remedy="check time stamps, nominal mounting and survey coordinates",
             )
         scaled = _rescaled(_without(scaled, system, worst), *step)
-        _check(scaled)
+        _check(scaled, sensors)
     else:
         raise EvaluationError("data snooping does not come to an end", got=f"{len(rejected)} observations rejected")
-    x = fit.x[:12]
-    covariance = fit.covariance[:12, :12]
-    redundancy = len(fit.residual) - len(fit.x)
-    sigma0 = float(np.sqrt(fit.residual @ fit.residual / redundancy)) if redundancy > 0 else 1.0
-    camera, lidar = system.mountings(x)
-    rotation, translation = camera_from_lidar(camera, lidar)
+    return Solved(system=system, fit=fit, rejected=rejected, factors=factors)
+
+
+def strong_pairs(names: tuple[str, ...], covariance: np.ndarray) -> list[dict[str, object]]:
     std = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(std, std)
-    pairs = [
-        {"parameters": [PARAMETER_NAMES[i], PARAMETER_NAMES[j]], "correlation": float(correlation[i, j])}
-        for i in range(12)
+    return [
+        {"parameters": [names[i], names[j]], "correlation": float(correlation[i, j])}
+        for i in range(len(names))
         for j in range(i)
         if abs(correlation[i, j]) > 0.95
     ]
+
+
+def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray | None = None) -> MountingSolution:
+    """Both mountings from all marks and vertices.
+
+    Parameters
+    ----------
+    problem : Problem
+    snoop : bool
+        Reject blunders and estimate the variance factors of marks and vertices; False takes everything as it is.
+    start : (12 + clocks,) np.ndarray, optional
+        First values of the parameters; the drawing's mountings and no clock error when absent.
+
+    Returns
+    -------
+    MountingSolution
+        `companions` hold the variance factors, correlations beyond 0.95, and what is not determined.
+
+    Raises
+    ------
+    EvaluationError
+        Too few observations, no convergence, or more than a quarter of the observations rejected.
+
+    References
+    ----------
+    GB/T 41450-2022, 9.3.2 h-i, formula (23), for two mountings and with surveyed places as weighted observations; Baarda, A
+    testing procedure for use in geodetic networks, 1968.
+    """
+    solved = fit_problem(problem, snoop=snoop, start=start, sensors=("camera", "lidar"))
+    system, fit = solved.system, solved.fit
+    names, n = system.names, system.count
+    x = fit.x[:n]
+    covariance = fit.covariance[:n, :n]
+    camera, lidar = system.mountings(x)
+    rotation, translation = camera_from_lidar(camera, lidar)
+    std = np.sqrt(np.diag(covariance))
+    clocks = dict(zip(names[12:], x[12:], strict=True))
     return MountingSolution(
-        names=PARAMETER_NAMES,
+        names=names,
         parameters=x,
         covariance=covariance,
         body_from_camera=camera,
         body_from_lidar=lidar,
         camera_from_lidar_rotation=rotation,
         camera_from_lidar_translation_m=translation,
-        camera_from_lidar=camera_from_lidar_vector(system.nominal, x),
-        camera_from_lidar_covariance=_product_covariance(system.nominal, x, covariance),
+        camera_from_lidar=camera_from_lidar_vector(system.nominal, x[:12]),
+        camera_from_lidar_covariance=_product_covariance(system.nominal, x[:12], covariance[:12, :12]),
         vertices_world_m={
-            t: fit.x[12 + 3 * i : 15 + 3 * i] + problem.surveyed[t].vertex_from_mark_m
+            t: fit.x[n + 3 * i : n + 3 * i + 3] + problem.surveyed[t].vertex_from_mark_m
             for i, t in enumerate(system.targets)
         },
         iterations=fit.iterations,
-        sigma0=sigma0,
-        redundancy=redundancy,
-        rejected=tuple(rejected),
+        sigma0=solved.sigma0,
+        redundancy=solved.redundancy,
+        rejected=tuple(solved.rejected),
         companions={
-            "variance_factor_marks": float(factors[0]),
-            "variance_factor_vertices": float(factors[1]),
-            "strong_correlations": pairs,
+            "variance_factor_marks": float(solved.factors[0]),
+            "variance_factor_vertices": float(solved.factors[1]),
+            "strong_correlations": strong_pairs(names, covariance),
             "not_determined": [
-                name for name, s, prior in zip(PARAMETER_NAMES, std, system.prior_std, strict=True) if s > 0.5 * prior
+                name for name, s, prior in zip(names, std, system.prior_std, strict=True) if s > 0.5 * prior
             ],
             "prior_std": [float(s) for s in system.prior_std],
         },
+        prior_std=system.prior_std,
+        camera_clock_s=float(clocks.get("camera_clock", 0.0)),
+        lidar_clock_s=float(clocks.get("lidar_clock", 0.0)),
+    )
+
+
+def kept_problem(problem: Problem, solution: MountingSolution) -> Problem:
+    """The observations that the adjustment kept, with the variances that it ended with and rejected places free."""
+    out = set(solution.rejected)
+    kept = replace(
+        problem,
+        marks=tuple(o for o in problem.marks if describe_mark(o) not in out),
+        vertices=tuple(o for o in problem.vertices if describe_vertex(o) not in out),
+        surveyed={
+            t: replace(s, covariance_m2=_LOOSE_M2) if describe_place(t) in out else s
+            for t, s in problem.surveyed.items()
+        },
+    )
+    factors = [solution.companions.get(f"variance_factor_{kind}", 1.0) for kind in ("marks", "vertices")]
+    return _rescaled(kept, *(float(f) if isinstance(f, float) else 1.0 for f in factors))
+
+
+def on_true_time(problem: Problem, solution: MountingSolution) -> Problem:
+    """The observations at the times when they were made by the estimated clocks; itself where none was estimated."""
+    camera, lidar = solution.camera_clock_s, solution.lidar_clock_s
+    if camera == 0.0 and lidar == 0.0:
+        return problem
+    return replace(
+        problem,
+        marks=tuple(replace(o, gps_time_s=o.gps_time_s - camera) for o in problem.marks),
+        vertices=tuple(replace(o, gps_time_s=o.gps_time_s - lidar) for o in problem.vertices),
     )

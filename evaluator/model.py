@@ -108,14 +108,15 @@ class VertexObservation:
 
 @dataclass(frozen=True, kw_only=True)
 class MountingSolution:
-    """Result of the joint adjustment (21)-(23). Parameters: camera roll pitch yaw [rad], lever arm x y z [m], LiDAR the same.
+    """Result of the joint adjustment (21)-(23). Parameters: camera roll pitch yaw [rad], lever arm x y z [m], LiDAR the same,
+    then the clocks [s] that have a prior.
 
-    body_from_sensor = dR(roll, pitch, yaw) * nominal rotation, lever arm = nominal + d.
+    body_from_sensor = dR(roll, pitch, yaw) * nominal rotation, lever arm = nominal + d. A clock is stamped minus true time.
     """
 
-    names: tuple[str, ...]  # 12: camera_boresight_roll ... lidar_lever_arm_z
-    parameters: np.ndarray  # (12,) rad and m, against nominal
-    covariance: np.ndarray  # (12, 12)
+    names: tuple[str, ...]  # 12: camera_boresight_roll ... lidar_lever_arm_z; then camera_clock, lidar_clock
+    parameters: np.ndarray  # (12 + clocks,) rad, m and s, against nominal
+    covariance: np.ndarray  # (12 + clocks, 12 + clocks)
     body_from_camera: Mounting
     body_from_lidar: Mounting
     camera_from_lidar_rotation: np.ndarray  # (3, 3)
@@ -128,3 +129,22 @@ class MountingSolution:
     redundancy: int
     rejected: tuple[str, ...] = ()  # observations left out as blunders, one line each
     companions: dict[str, object] = field(default_factory=dict)  # e.g. the single-instant solution
+    prior_std: np.ndarray | None = None  # in the order of names; rad, m and s
+    camera_clock_s: float = 0.0  # estimated, else 0
+    lidar_clock_s: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorSolution:
+    """One sensor's mounting from its own observations alone, against the body: as in MountingSolution."""
+
+    sensor: str  # camera or lidar
+    names: tuple[str, ...]  # 6, and the clock where it has a prior
+    parameters: np.ndarray  # rad, m and s, against nominal
+    covariance: np.ndarray
+    prior_std: np.ndarray
+    body_from_sensor: Mounting
+    sigma0: float
+    redundancy: int
+    rejected: tuple[str, ...] = ()
+    companions: dict[str, object] = field(default_factory=dict)

@@ -4,11 +4,12 @@ One observation equation serves the camera and the LiDAR alike, p_sensor = senso
 - lever arm): the camera observes its pixel, the LiDAR the point itself. Unknown are both mountings and every mark's place;
 the surveyed places and the drawing's mountings enter as weighted observations (the priors of rig.json, weak). Navigation
 errors, which act on everything seen at nearby times of one sortie alike, and the lens certificate's errors are part of the
-observations' covariance, so that stated variances hold. Reading of (21)-(24): one rigid transform does not hold in flight.
+observations' covariance, so that stated variances hold. A sensor whose rig sheet gives its clock a prior has its clock among
+the unknowns: what is stamped t was seen at t - clock. Reading of (21)-(24): one rigid transform does not hold in flight.
 The solver lives in `adjustment`; finding marks and vertices, and the indicator (20), elsewhere.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +33,11 @@ PARAMETER_NAMES = tuple(
         "lever_arm_z",
     )
 )
+CLOCK_NAMES = (
+    "camera_clock",
+    "lidar_clock",
+)  # stamped minus true time [s], after the twelve, where the rig has a prior
+_RATE_SPAN_S = 0.02  # rates of the body by differences over it: a tenth of a step's noise, far below any sway
 _ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
@@ -60,13 +66,15 @@ class Problem:
 
 @dataclass(frozen=True, kw_only=True)
 class _Stack:
-    """Observations of one sensor as arrays."""
+    """Observations of one sensor as arrays; the poses are those at `time_s` less the clock."""
 
     target: np.ndarray  # (n,) index of the target
     sortie: np.ndarray  # (n,)
     time_s: np.ndarray  # (n,)
     body_m: np.ndarray  # (n, 3)
     world_from_body: np.ndarray  # (n, 3, 3)
+    velocity_m_s: np.ndarray  # (n, 3) world axes; zero where the clock is not estimated
+    turn_rad_s: np.ndarray  # (n, 3) angular rate about world axes; the same
     attitude_axes: np.ndarray  # (n, 3, 3) world axes of the errors of roll, pitch, heading
     offset_m: np.ndarray  # (n, 3) observed point minus mark
     values: np.ndarray  # (n, k) pixels or LiDAR coordinates
@@ -120,13 +128,8 @@ def _stack(problem: Problem, index: dict[str, int], which: str) -> _Stack:
     ]
     k = 2 if which == "camera" else 3
     n = len(observations)
-    body, rotation, axes = np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
     sortie = np.array([o.sortie for o in observations], dtype=np.int64)
     time = np.array([o.gps_time_s for o in observations], dtype=np.float64)
-    for number in np.unique(sortie):
-        rows = np.flatnonzero(sortie == number)
-        body[rows], rotation[rows] = body_pose(problem.trajectories[int(number)], time[rows], problem.world_frame)
-        axes[rows] = _ENU_FROM_NED @ euler_rates(euler_angles(_ENU_FROM_NED.T @ rotation[rows]))
     values = np.zeros((n, k))
     covariance = np.zeros((n, k, k))
     offset = np.zeros((n, 3))
@@ -136,17 +139,62 @@ def _stack(problem: Problem, index: dict[str, int], which: str) -> _Stack:
         elif isinstance(o, VertexObservation):
             values[i], covariance[i] = o.point_lidar_m, o.covariance_m2
             offset[i] = problem.surveyed[o.target].vertex_from_mark_m
+    sheet = problem.rig.camera if which == "camera" else problem.rig.lidar
     return _Stack(
         target=np.array([index[o.target] for o in observations], dtype=np.int64),
         sortie=sortie,
         time_s=time,
-        body_m=body,
-        world_from_body=rotation,
-        attitude_axes=axes,
         offset_m=offset,
         values=values,
         covariance=covariance,
+        **_poses(problem, time, sortie, rates=sheet.clock_std_s > 0.0),
     )
+
+
+def _poses(problem: Problem, time_s: np.ndarray, sortie: np.ndarray, *, rates: bool) -> dict[str, np.ndarray]:
+    """Pose of the body, axes of its attitude's errors and, with `rates`, its motion at the given times."""
+    n = len(time_s)
+    body, rotation, axes = np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
+    velocity, turn = np.zeros((n, 3)), np.zeros((n, 3))
+    for number in np.unique(sortie):
+        rows = np.flatnonzero(sortie == number)
+        trajectory = problem.trajectories[int(number)]
+        body[rows], rotation[rows] = body_pose(trajectory, time_s[rows], problem.world_frame)
+        axes[rows] = _ENU_FROM_NED @ euler_rates(euler_angles(_ENU_FROM_NED.T @ rotation[rows]))
+        if rates:
+            velocity[rows], turn[rows] = body_rates(trajectory, time_s[rows], problem.world_frame)
+    return {
+        "body_m": body,
+        "world_from_body": rotation,
+        "attitude_axes": axes,
+        "velocity_m_s": velocity,
+        "turn_rad_s": turn,
+    }
+
+
+def body_rates(
+    trajectory: Trajectory, gps_time_s: np.ndarray, world_frame: WorldFrame
+) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity and angular rate of the body at any times inside the trajectory.
+
+    By differences of its poses over 20 ms: a trajectory's own columns of rates may be absent, and from one record to the next
+    a filter's noise would be a hundredth of the speed.
+
+    Returns
+    -------
+    velocity, turn : (n, 3) np.ndarray
+        In world axes. [m/s], [rad/s]
+    """
+    samples = trajectory.gps_time_s
+    before = np.maximum(gps_time_s - 0.5 * _RATE_SPAN_S, samples[0])
+    after = np.minimum(gps_time_s + 0.5 * _RATE_SPAN_S, samples[-1])
+    span = np.maximum(after - before, 1e-9)[:, None]
+    (p0, r0), (p1, r1) = body_pose(trajectory, before, world_frame), body_pose(trajectory, after, world_frame)
+    turned = r1 @ np.swapaxes(r0, -1, -2)
+    small = 0.5 * np.stack(
+        [turned[:, 2, 1] - turned[:, 1, 2], turned[:, 0, 2] - turned[:, 2, 0], turned[:, 1, 0] - turned[:, 0, 1]], -1
+    )
+    return (p1 - p0) / span, small / span
 
 
 def _gauss_markov(time_s: np.ndarray, sortie: np.ndarray, correlation_s: float) -> np.ndarray:
@@ -196,7 +244,8 @@ class Linear:
 
 
 class System:
-    """Observations in fixed order: marks (2 rows), vertices (3), surveyed places (3), priors of the mounting (12 rows)."""
+    """Observations in fixed order: marks (2 rows), vertices (3), surveyed places (3), priors of the mounting (12 rows)
+    and of the clocks (0 to 2). Unknowns: the mountings (12), the clocks that have a prior, every mark's place (3 each)."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
@@ -213,38 +262,50 @@ class System:
         c, v, t = len(problem.marks), len(problem.vertices), len(self.targets)
         self.rows_marks, self.rows_vertices, self.rows_places = 0, 2 * c, 2 * c + 3 * v
         self.rows_prior = self.rows_places + 3 * t
-        self.size = self.rows_prior + 12
+        sheets = (problem.rig.camera, problem.rig.lidar)
+        clocks = [(name, s.clock_std_s) for name, s in zip(CLOCK_NAMES, sheets, strict=True) if s.clock_std_s > 0.0]
+        self.names = PARAMETER_NAMES + tuple(name for name, _ in clocks)
+        self.count = len(self.names)  # of the parameters before the places
+        self.size = self.rows_prior + self.count
         self.kinds = ["mark"] * c + ["vertex"] * v + ["survey"] * t
         self.groups = [(2 * i, 2) for i in range(c)]
         self.groups += [(self.rows_vertices + 3 * i, 3) for i in range(v)]
         self.groups += [(self.rows_places + 3 * i, 3) for i in range(t)]
-        rig = problem.rig
-        self.prior_std = np.concatenate(
-            [
-                np.concatenate([np.full(3, np.radians(s.boresight_std_deg)), np.full(3, s.lever_arm_std_m)])
-                for s in (rig.camera, rig.lidar)
-            ]
-        )
+        each = [
+            np.concatenate([np.full(3, np.radians(s.boresight_std_deg)), np.full(3, s.lever_arm_std_m)]) for s in sheets
+        ]
+        self.prior_std = np.concatenate([*each, [std for _, std in clocks]])
 
     def mountings(self, x: np.ndarray) -> tuple[Mounting, Mounting]:
         return mounting_of(self.nominal[0], x[0:6]), mounting_of(self.nominal[1], x[6:12])
 
+    def _clock_column(self, sensor: int) -> int | None:
+        return self.names.index(CLOCK_NAMES[sensor]) if CLOCK_NAMES[sensor] in self.names else None
+
+    def _shifted(self, stack: _Stack, clock_s: float) -> _Stack:
+        """The body where it was when the observations were made."""
+        if clock_s == 0.0:
+            return stack
+        return replace(stack, **_poses(self.problem, stack.time_s - clock_s, stack.sortie, rates=True))
+
     def linearise(self, x: np.ndarray, *, with_covariance: bool = True) -> Linear:
-        """x: 12 mounting parameters, then 3 of every mark. `with_covariance` False leaves it out."""
-        marks_world = x[12:].reshape(-1, 3)
+        """x: mounting parameters and clocks, then 3 of every mark. `with_covariance` False leaves it out."""
+        marks_world = x[self.count :].reshape(-1, 3)
         camera, lidar = self.mountings(x)
         design = np.zeros((self.size, x.size))
         residual = np.zeros(self.size)
         covariance = np.zeros((self.size, self.size) if with_covariance else (0, 0))
         d_position, d_attitude = np.zeros((self.rows_places, 3)), np.zeros((self.rows_places, 3))
         d_lens = np.zeros((self.rows_vertices, 9))
-        for stack, mounting, first, column in (
-            (self.camera, camera, self.rows_marks, 0),
-            (self.lidar, lidar, self.rows_vertices, 6),
+        for sensor, (stack, mounting, first, column) in enumerate(
+            ((self.camera, camera, self.rows_marks, 0), (self.lidar, lidar, self.rows_vertices, 6))
         ):
             n, k = stack.values.shape
             if n == 0:
                 continue
+            clock = self._clock_column(sensor)
+            if clock is not None:
+                stack = self._shifted(stack, float(x[clock]))
             p, by_mounting, by_point, by_attitude = observe_points(
                 mounting,
                 x[column : column + 3],
@@ -258,10 +319,13 @@ class System:
                 by_mounting, by_point, by_attitude = d_uv @ by_mounting, d_uv @ by_point, d_uv @ by_attitude
                 d_lens[:] = by_lens.reshape(-1, 9)
             rows = slice(first, first + k * n)
+            if clock is not None:  # at t - clock the body was behind: its position by -velocity, its attitude by -turn
+                by_clock = by_point @ stack.velocity_m_s[:, :, None] - by_attitude @ stack.turn_rad_s[:, :, None]
+                design[rows, clock] = by_clock.ravel()
             residual[rows] = (stack.values - predicted).ravel()
             design[rows, column : column + 6] = by_mounting.reshape(-1, 6)
             each = first + np.arange(k * n).reshape(n, k)
-            columns = 12 + 3 * stack.target[:, None] + np.arange(3)
+            columns = self.count + 3 * stack.target[:, None] + np.arange(3)
             design[each[:, :, None], columns[:, None, :]] = by_point
             if with_covariance:
                 covariance[each[:, :, None], each[:, None, :]] = stack.covariance
@@ -269,10 +333,10 @@ class System:
             d_attitude[rows] = (by_attitude @ stack.attitude_axes).reshape(-1, 3)
         places = slice(self.rows_places, self.rows_prior)
         residual[places] = (self.places - marks_world).ravel()
-        design[places, 12:] = np.eye(3 * len(self.targets))
+        design[places, self.count :] = np.eye(3 * len(self.targets))
         prior = slice(self.rows_prior, self.size)
-        residual[prior] = -x[:12]
-        design[prior, :12] = np.eye(12)
+        residual[prior] = -x[: self.count]
+        design[prior, : self.count] = np.eye(self.count)
         if with_covariance:
             self._covariance(covariance, d_position, d_attitude, d_lens)
         return Linear(residual=residual, design=design, covariance=covariance)
