@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from campaign.config import Lens
-from evaluator.adjustment import describe_mark, describe_vertex, solve_mountings
+from evaluator.adjustment import describe_mark, describe_vertex, on_true_time, solve_mountings
 from evaluator.camera_model import camera_points, ideal_px, project, undistorted_px
 from evaluator.georeference import mounting_from_sheet, world_points
 from evaluator.model import EvaluationError, Mounting, MountingSolution
@@ -200,6 +200,7 @@ def held_out_errors(problem: Problem, solution: MountingSolution, folds: int = _
             marks=tuple(o for o in problem.marks if o.target in held),
             vertices=tuple(o for o in problem.vertices if o.target in held),
         )
+        tested = on_true_time(tested, other)
         out |= target_errors(residual_table(tested, other.body_from_camera, other.body_from_lidar))
     return dict(sorted(out.items()))
 
@@ -258,7 +259,8 @@ def evaluate_calibration(problem: Problem, solution: MountingSolution) -> Calibr
     GB/T 41450-2022, 9.3, formulas (20)-(24).
     """
     kept = without_rejected(problem, solution)
-    table = residual_table(kept, solution.body_from_camera, solution.body_from_lidar)
+    timed = on_true_time(kept, solution)
+    table = residual_table(timed, solution.body_from_camera, solution.body_from_lidar)
     per_target = target_errors(table)
     if not per_target:
         raise EvaluationError("no target was seen by both sensors in one sortie")
@@ -270,7 +272,7 @@ def evaluate_calibration(problem: Problem, solution: MountingSolution) -> Calibr
         for s in sorted({r.sortie for r in table})
     }
     held = held_out_errors(kept, solution)
-    drifting = residual_table(kept, solution.body_from_camera, solution.body_from_lidar, whole_sortie=True)
+    drifting = residual_table(timed, solution.body_from_camera, solution.body_from_lidar, whole_sortie=True)
     single = solve_single_instant(kept, lidar_marks(kept, mounting_from_sheet(kept.rig.lidar), by_strip=True))
     indicator = IndicatorValue(
         value=calibration_error(values),
