@@ -1,0 +1,300 @@
+"""The camera's mounting by the patent's method: S5 to S7 on the boards' centres, with blunders named and weak parameters refused.
+
+Gauss-Newton on xi = [alpha beta gamma dx dy dz] under the full covariance of `board_model`; the drawing's mounting with its
+prior is a weighted observation. A board that contradicts all others, in place or by name, is left out by `board_blunders` and
+named here. What this flight cannot determine has no value; the strip that would help is found in `board_strips`. Finding
+boards in images: `board_observations`.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from evaluator.board_blunders import (
+    LEAST_BOARDS,
+    BoardFitted,
+    gauss_newton,
+    place_shift,
+    swapped_pairs,
+    without_blunders,
+)
+from evaluator.board_model import BoardProblem, Views, pixel_covariance, remap, views_of
+from evaluator.board_observations import BoardObservation, observe_boards, surveyed_boards
+from evaluator.board_strips import helping_strips
+from evaluator.frames import WorldFrame
+from evaluator.geometry import certified_lens
+from evaluator.model import CampaignData, EvaluationError
+from evaluator.mounting_model import PARAMETER_NAMES
+
+__all__ = ["BoardMounting", "observe_boards", "solve_by_boards"]
+
+NAMES = PARAMETER_NAMES[:6]
+UNITS = ("deg", "deg", "deg", "m", "m", "m")
+_TO_UNITS = np.array([np.degrees(1.0)] * 3 + [1.0] * 3)
+_LEAST_OBSERVATIONS = 4
+_PRIOR_SHARE, _CORRELATION = 0.5, 0.95  # beyond either a parameter is not determined
+_COUNT_STD_PX = 0.35  # of the half-window count: rounding to whole pixels, and its noise
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardResidual:
+    """Residual of one observation after the adjustment: observed minus (11)."""
+
+    target: str
+    sortie: int
+    image: str
+    residual_px: np.ndarray  # (2,)
+    pixel_part_px: (
+        np.ndarray
+    )  # (2,) of it, what pixel noise most probably made; the rest is navigation, survey, lens, clock
+    used: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardMounting:
+    """xi with its covariance, and what it rests on. Angles in rad and lengths in m here; degrees in `results_block`."""
+
+    names: tuple[str, ...]
+    parameters: np.ndarray  # (6,)
+    covariance: np.ndarray  # (6, 6)
+    prior_std: np.ndarray  # (6,)
+    not_determined: tuple[dict[str, object], ...]
+    rejected: tuple[str, ...]  # one line each
+    swapped: tuple[tuple[str, str], ...]
+    residuals: tuple[BoardResidual, ...]
+    sigma0: float
+    redundancy: int
+    iterations: int
+    boards: tuple[str, ...]  # used
+    count: dict[str, object] = field(default_factory=dict)  # the same from the half-window count
+
+    @property
+    def mean_residual_px(self) -> float:
+        """Mean norm of the residuals of (11), S6. [px]"""
+        return float(np.mean([np.linalg.norm(r.residual_px) for r in self.residuals if r.used]))
+
+    @property
+    def mean_pixel_part_px(self) -> float:
+        """The same without what navigation, survey, lens and clock explain. [px]"""
+        return float(np.mean([np.linalg.norm(r.pixel_part_px) for r in self.residuals if r.used]))
+
+    def results_block(self) -> dict[str, object]:
+        """For results.json; degrees and metres. A parameter that is not determined has no estimate."""
+        weak = {str(entry["parameter"]) for entry in self.not_determined}
+        std = np.sqrt(np.diag(self.covariance))
+        scaled = self.covariance * np.outer(_TO_UNITS, _TO_UNITS)
+        values = self.parameters * _TO_UNITS
+        return {
+            "method": "2x2 boards, steps S3 to S7 of the patent",
+            "names": list(self.names),
+            "units": list(UNITS),
+            "estimates": [None if n in weak else float(v) for n, v in zip(self.names, values, strict=True)],
+            "std": [float(v) for v in std * _TO_UNITS],
+            "prior_std": [float(v) for v in self.prior_std * _TO_UNITS],
+            "covariance": scaled.tolist(),
+            "correlation": (self.covariance / np.outer(std, std)).tolist(),
+            "not_determined": [dict(entry) for entry in self.not_determined],
+            "boards": list(self.boards),
+            "images": len({(r.sortie, r.image) for r in self.residuals if r.used}),
+            "observations": sum(r.used for r in self.residuals),
+            "mean_residual_px": self.mean_residual_px,
+            "mean_residual_without_navigation_px": self.mean_pixel_part_px,
+            "sigma0": self.sigma0,
+            "redundancy": self.redundancy,
+            "iterations": self.iterations,
+            "rejected": list(self.rejected),
+            "swapped": [list(pair) for pair in self.swapped],
+            "half_window_count": dict(self.count),
+            "residuals": [
+                {
+                    "target": r.target,
+                    "sortie": r.sortie,
+                    "image": r.image,
+                    "du_px": float(r.residual_px[0]),
+                    "dv_px": float(r.residual_px[1]),
+                    "used": r.used,
+                }
+                for r in self.residuals
+            ],
+        }
+
+
+def build_board_problem(data: CampaignData, observations: list[BoardObservation]) -> tuple[BoardProblem, Views]:
+    """The adjustment's input from a campaign.
+
+    Raises
+    ------
+    EvaluationError
+        A sheet is missing, a board is not in the survey, or a flight has no trajectory.
+    """
+    if data.rig is None or data.camera is None:
+        raise EvaluationError("no sensors/rig.json or sensors/camera.json")
+    surveyed = surveyed_boards(data)
+    names = tuple(sorted({o.target for o in observations}))
+    missing = [n for n in names if n not in surveyed]
+    if missing:
+        raise EvaluationError("a board was observed that the survey does not hold", got=missing[0])
+    trajectories = {s.folder.number: s.trajectory for s in data.sorties if s.trajectory is not None}
+    lost = sorted({o.sortie for o in observations} - trajectories.keys())
+    if lost:
+        raise EvaluationError("a sortie with boards has no trajectory", got=f"sortie {lost[0]}")
+    lens, lens_covariance = certified_lens(data.camera)
+    sheet = data.rig.camera
+    problem = BoardProblem(
+        rig=data.rig,
+        lens=lens,
+        lens_covariance=lens_covariance,
+        image_size_px=(data.camera.width_px, data.camera.height_px),
+        boards=names,
+        places_m=np.array([surveyed[n][0] for n in names]).reshape(-1, 3),
+        place_covariance_m2=np.array([surveyed[n][1] for n in names]).reshape(-1, 3, 3),
+        prior_std=np.concatenate([np.full(3, np.radians(sheet.boresight_std_deg)), np.full(3, sheet.lever_arm_std_m)]),
+    )
+    return problem, views_of(observations, names, trajectories, WorldFrame(data.manifest))
+
+
+def _not_determined(
+    problem: BoardProblem, views: Views, fit: BoardFitted, covariance: np.ndarray
+) -> tuple[dict[str, object], ...]:
+    """What this flight leaves open: sigma above half its prior, or a correlation beyond 0.95; and the strip that would help."""
+    std = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(std, std)
+    off = np.abs(correlation - np.eye(6))
+    weak = [i for i in range(6) if std[i] > _PRIOR_SHARE * problem.prior_std[i] or off[i].max() > _CORRELATION]
+    if not weak:
+        return ()
+    strips = helping_strips(problem, views, fit.xi)
+    entries: list[dict[str, object]] = []
+    for i in weak:
+        partner = int(np.argmax(off[i]))
+        name, with_it = min(strips, key=lambda s: s[1][i])
+        reasons = []
+        if std[i] > _PRIOR_SHARE * problem.prior_std[i]:
+            reasons.append("its standard deviation is above half its prior")
+        if off[i, partner] > _CORRELATION:
+            reasons.append(f"it is tied to {NAMES[partner]}")
+        entries.append(
+            {
+                "parameter": NAMES[i],
+                "unit": UNITS[i],
+                "reason": " and ".join(reasons),
+                "std": float(std[i] * _TO_UNITS[i]),
+                "prior_std": float(problem.prior_std[i] * _TO_UNITS[i]),
+                "partner": NAMES[partner],
+                "correlation": float(correlation[i, partner]),
+                "helping_strip": name,
+                "std_with_it": float(with_it[i] * _TO_UNITS[i]),
+                "std_with_each": {each: float(s[i] * _TO_UNITS[i]) for each, s in strips},
+            }
+        )
+    return tuple(entries)
+
+
+def _by_count(
+    problem: BoardProblem, views: Views, observations: list[BoardObservation], fit: BoardFitted
+) -> dict[str, object]:
+    """The same adjustment on the whole pixels of the half-window count, for comparison."""
+    rows = np.array([i for i, o in enumerate(observations) if o.count_px is not None], dtype=np.int64)
+    if len(rows) < _LEAST_OBSERVATIONS or len(np.unique(views.board[rows])) < LEAST_BOARDS:
+        return {}
+    counts = np.array([observations[i].count_px for i in rows], dtype=np.float64)
+    fitted = np.array([observations[i].uv_px for i in rows])
+    away = np.linalg.norm(counts - fitted, axis=1)
+    part = replace(views.rows(rows), covariance_px2=np.tile(_COUNT_STD_PX**2 * np.eye(2), (len(rows), 1, 1)))
+    try:
+        own = gauss_newton(problem, part, counts, fit.xi)
+    except EvaluationError:
+        return {}
+    return {
+        "observations": len(rows),
+        "spread_against_fit_px": float(np.std(counts - fitted)),
+        "mean_distance_to_fit_px": float(np.mean(away)),
+        "estimates": [float(v) for v in own.xi * _TO_UNITS],
+        "std": [float(v) for v in np.sqrt(np.diag(own.covariance)) * _TO_UNITS],
+        "mean_residual_px": float(np.mean(np.linalg.norm(own.residual.reshape(-1, 2), axis=1))),
+    }
+
+
+def solve_board_problem(problem: BoardProblem, views: Views, observations: list[BoardObservation]) -> BoardMounting:
+    """S5 to S7 on numbers alone; see `solve_by_boards`."""
+    uv = np.array([o.uv_px for o in observations], dtype=np.float64).reshape(-1, 2)
+    if len(problem.boards) < LEAST_BOARDS or len(uv) < _LEAST_OBSERVATIONS:
+        raise EvaluationError(
+            "too few 2x2 boards in the images",
+            got=f"{len(problem.boards)} boards, {len(uv)} observations",
+            expected=f"at least {LEAST_BOARDS} boards and {_LEAST_OBSERVATIONS} observations",
+        )
+    fit, use, boards_out, single = without_blunders(problem, views, uv)
+    kept = np.flatnonzero(use)
+    used = views.rows(kept)
+    pairs = swapped_pairs(problem, views, uv, fit, boards_out)
+    in_pair = {b for pair in pairs for b in pair}
+    rejected = [
+        f"{problem.boards[a]} and {problem.boards[b]} are swapped: each fits at the other's place" for a, b in pairs
+    ]
+    for b, rows in sorted(boards_out.items()):
+        if b in in_pair:
+            continue
+        shift, _ = place_shift(problem, views, uv, fit, rows, b)
+        rejected.append(
+            f"surveyed place of {problem.boards[b]}: {np.linalg.norm(shift):.3f} m off "
+            f"(east {shift[0]:+.3f}, north {shift[1]:+.3f}, up {shift[2]:+.3f} m) in {len(rows)} images"
+        )
+    rejected += [f"board {observations[i].target} in {observations[i].image}" for i in single]
+    whitened = pixel_covariance(used) @ (fit.inverse_covariance @ fit.residual)
+    at = remap(problem, views, fit.xi)
+    pixel_part = np.full_like(uv, np.nan)
+    pixel_part[kept] = whitened.reshape(-1, 2)
+    redundancy = 2 * len(kept)  # six parameters, six weighted observations of them
+    chi2 = fit.residual @ fit.inverse_covariance @ fit.residual + np.sum((fit.xi / problem.prior_std) ** 2)
+    return BoardMounting(
+        names=NAMES,
+        parameters=fit.xi,
+        covariance=fit.covariance,
+        prior_std=problem.prior_std,
+        not_determined=_not_determined(problem, used, fit, fit.covariance),
+        rejected=tuple(rejected),
+        swapped=tuple((problem.boards[a], problem.boards[b]) for a, b in pairs),
+        residuals=tuple(
+            BoardResidual(
+                target=o.target,
+                sortie=o.sortie,
+                image=o.image,
+                residual_px=uv[i] - at.uv_px[i],
+                pixel_part_px=pixel_part[i],
+                used=bool(use[i]),
+            )
+            for i, o in enumerate(observations)
+        ),
+        sigma0=float(np.sqrt(chi2 / redundancy)),
+        redundancy=redundancy,
+        iterations=fit.iterations,
+        boards=tuple(problem.boards[b] for b in np.unique(used.board)),
+        count=_by_count(problem, used, [observations[i] for i in kept], fit),
+    )
+
+
+def solve_by_boards(data: CampaignData, observations: list[BoardObservation]) -> BoardMounting:
+    """The camera's mounting from the boards' centres in all images.
+
+    Parameters
+    ----------
+    data : CampaignData
+    observations : list of BoardObservation
+        Of all images, from `observe_boards`.
+
+    Returns
+    -------
+    BoardMounting
+
+    Raises
+    ------
+    EvaluationError
+        Fewer than three boards or four observations, boards that contradict each other, or a missing sheet.
+
+    References
+    ----------
+    The patent's steps S3 to S7; W. Baarda, A testing procedure for use in geodetic networks, 1968.
+    """
+    problem, views = build_board_problem(data, observations)
+    return solve_board_problem(problem, views, observations)
