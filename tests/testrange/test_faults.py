@@ -57,7 +57,7 @@ def test_a_wrong_study_is_one_line(tmp_path: Path, text: str, word: str) -> None
 
 def test_the_ready_made_study_loads_and_every_case_has_a_configuration() -> None:
     study = faults.load_study("faults")
-    assert [c.name for c in study.fault][0] == "none"
+    assert study.fault[0].name == "none"
     assert len({c.name for c in study.fault}) == len(study.fault)
     for each in study.fault:
         assert load_config(study.base, (*study.set, *each.set)).faults != (
