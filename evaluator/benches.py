@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from campaign.sensors import Calibration as Certificate
 from campaign.sensors import CameraSheet
@@ -14,12 +15,13 @@ from evaluator.bench_model import ChessboardResult, RangingResult, SphereResult
 from evaluator.c8_2_camera_radiometry import evaluate_sphere
 from evaluator.c9_1_lidar_ranging import evaluate_ranging
 from evaluator.c9_2_camera_geometry import evaluate_chessboard
-from evaluator.model import CampaignData
+from evaluator.model import CampaignData, RangeCorrection
 from evaluator.photon_transfer import PhotonTransfer, photon_transfer
 from evaluator.results_model import IndicatorValue
 
 Report = Callable[[str, int, int], None]
 _WORST_PX = 1.0  # M_z beyond table 3: no such calibration serves another indicator
+_RANGE_SIGNIFICANT = 1e-3  # probability of K2 and R2 by chance, below which the flight's ranges are corrected
 _FOCUS_PX = 0.1  # of principal distance: what a focus setting may differ in without being told apart
 
 
@@ -75,6 +77,23 @@ def principal_distance_change_px(camera: CameraSheet, from_focus_m: float, to_fo
         return float("inf")
     change = f * f * (1.0 / (to_focus_m - f) - 1.0 / (from_focus_m - f))
     return float(change / (camera.pixel_size_um * 1e-6))
+
+
+def flight_ranges(data: CampaignData, ranging: RangingResult) -> CampaignData:
+    """The campaign whose flight's ranges are corrected by (15), where K2 and R2 of 9.1 differ from zero together.
+
+    A pair that may be zero is left out: it would add its own noise to every range.
+    """
+    if ranging.covariance is None or ranging.additive_constant_m is None or ranging.multiplication_constant is None:
+        return data
+    found = np.array([ranging.additive_constant_m, ranging.multiplication_constant])
+    statistic = float(found @ np.linalg.solve(ranging.covariance, found))
+    if chi2.sf(statistic, 2) > _RANGE_SIGNIFICANT:
+        return data
+    correction = RangeCorrection(
+        additive_constant_m=float(found[0]), multiplication_constant=float(found[1]), covariance=ranging.covariance
+    )
+    return replace(data, range_correction=correction)
 
 
 def flight_lens(data: CampaignData, chessboard: ChessboardResult) -> tuple[CampaignData, str]:

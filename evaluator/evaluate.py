@@ -16,7 +16,7 @@ from campaign.errors import TestrangeError
 from campaign.images import read_image, read_preview
 from campaign.records import CameraObservation, Exposure, read_camera_observations
 from campaign.threads import one_blas_thread
-from evaluator.benches import evaluate_benches, flight_lens
+from evaluator.benches import evaluate_benches, flight_lens, flight_ranges
 from evaluator.c8_1_lidar_reflectance import PanelReflectances, evaluate_lidar_reflectance
 from evaluator.c8_3_reflectance_consistency import evaluate_reflectance_consistency
 from evaluator.c9_3_calibration import CalibrationResult, evaluate_calibration
@@ -87,6 +87,7 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
     benches = evaluate_benches(data, progress)
     certificate = data.camera.calibration if data.camera else None
     data, lens_source = flight_lens(data, benches.chessboard)
+    data = flight_ranges(data, benches.ranging)
     _outside(targets_outside_images(data), strict, findings)
     returns = _returns_near_targets(data, findings, progress)
     _outside(targets_outside_strips(data, returns, _collect_radius_m(data)), strict, findings)
@@ -104,7 +105,10 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
     progress("calibration error", 0, 1)
     calibration, p_m = _calibration(geometry, geometry_reason)
     if p_m.value is not None:
-        p_m = replace(p_m, companions={**p_m.companions, "interior_orientation": lens_source})
+        by = data.range_correction
+        ranges = "as measured" if by is None else f"corrected by (15): {by.additive_constant_m:+.4f} m"
+        ranges += "" if by is None else f" {1e6 * by.multiplication_constant:+.0f} ppm"
+        p_m = replace(p_m, companions={**p_m.companions, "interior_orientation": lens_source, "ranges": ranges})
     progress("calibration error", 1, 1)
     solution = geometry.solution if geometry else None
     indicators = benches.indicators | {

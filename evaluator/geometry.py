@@ -15,7 +15,7 @@ from campaign.survey import SurveyedTarget
 from evaluator.adjustment import solve_mountings
 from evaluator.camera_model import camera_points, project_exposure, project_with_jacobian, row_time
 from evaluator.frames import WorldFrame, body_pose
-from evaluator.georeference import TargetReturns, lidar_points, nominal_mountings
+from evaluator.georeference import TargetReturns, corrected_points, lidar_points, nominal_mountings
 from evaluator.model import (
     CampaignData,
     EvaluationError,
@@ -92,7 +92,9 @@ def observe_vertices(
         inside = (rows.gps_time_s >= trajectory.gps_time_s[0]) & (rows.gps_time_s <= trajectory.gps_time_s[-1])
         time = rows.gps_time_s[inside]
         vertex = find_vertex(
-            lidar_points(rows.xyz_m[inside], time, trajectory, data.rig, world_frame),
+            corrected_points(
+                lidar_points(rows.xyz_m[inside], time, trajectory, data.rig, world_frame), data.range_correction
+            ),
             time,
             rows.number_of_returns[inside] <= 1,
             model=models[target],
@@ -283,6 +285,7 @@ def build_problem(
         rig=data.rig,
         lens=lens,
         lens_covariance=covariance,
+        range_covariance=data.range_correction.covariance if data.range_correction else None,
         marks=tuple(marks),
         vertices=tuple(vertices),
         surveyed=surveyed_marks(data),

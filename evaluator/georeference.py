@@ -12,7 +12,7 @@ from campaign.las import Returns, StripReader
 from campaign.sensors import MountingSheet, Rig
 from campaign.trajectory import Trajectory
 from evaluator.frames import WorldFrame, body_pose, euler_rotation
-from evaluator.model import CampaignData, Mounting
+from evaluator.model import CampaignData, Mounting, RangeCorrection
 
 # A camera that looks down with its image's top ahead: x right = body y, y down the image = body -x, z forward = body z.
 _BODY_FROM_NADIR_CAMERA = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -50,6 +50,15 @@ def lidar_points(
     position, world_from_body = body_pose(trajectory, gps_time_s, world_frame)
     in_body = np.einsum("nji,nj->ni", world_from_body, world_frame.world_from_map(map_xyz_m) - position)
     return np.asarray((in_body - nominal.lever_arm_m) @ nominal.rotation)
+
+
+def corrected_points(p_lidar_m: np.ndarray, correction: RangeCorrection | None) -> np.ndarray:
+    """Points (n, 3) in the LiDAR's frame with their ranges corrected, L_Q = L + K2 + R2 L, formula (15). [m]"""
+    if correction is None:
+        return p_lidar_m
+    measured = np.linalg.norm(p_lidar_m, axis=1, keepdims=True)
+    longer = correction.additive_constant_m / np.maximum(measured, 1e-6) + correction.multiplication_constant
+    return np.asarray(p_lidar_m * (1.0 + longer))
 
 
 def world_points(

@@ -50,6 +50,15 @@ class RangingData:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RangeCorrection:
+    """K2 and R2 of 9.1 where they differ from zero: the flight's ranges are corrected by (15)."""
+
+    additive_constant_m: float
+    multiplication_constant: float
+    covariance: np.ndarray  # (2, 2)
+
+
+@dataclass(frozen=True, kw_only=True)
 class CampaignData:
     """What a folder holds; a part that is absent is None or empty."""
 
@@ -64,6 +73,7 @@ class CampaignData:
     sorties: tuple[SortieData, ...]
     bench: BenchData = BenchData()
     ranging: RangingData = RangingData()
+    range_correction: RangeCorrection | None = None  # found by the evaluation, not read
     problems: tuple[str, ...] = ()  # parts that could not be read, one line each
 
 

@@ -57,6 +57,7 @@ class Problem:
     rig: Rig
     lens: Lens
     lens_covariance: np.ndarray  # (9, 9)
+    range_covariance: np.ndarray | None = None  # (2, 2) of K2 [m] and R2 where the ranges were corrected by (15)
     marks: tuple[MarkObservation, ...]
     vertices: tuple[VertexObservation, ...]
     surveyed: dict[str, SurveyedMark]
@@ -353,6 +354,12 @@ class System:
         )
         pixels = slice(0, self.rows_vertices)
         covariance[pixels, pixels] += d_lens @ self.problem.lens_covariance @ d_lens.T
+        if self.problem.range_covariance is not None:
+            points = slice(self.rows_vertices, self.rows_places)
+            p = self.lidar.values
+            towards = p / np.linalg.norm(p, axis=1, keepdims=True)
+            by_constants = np.stack([towards.ravel(), p.ravel()], axis=1)  # d p / d(K2, R2), along the ray
+            covariance[points, points] += by_constants @ self.problem.range_covariance @ by_constants.T
         for i, t in enumerate(self.targets):
             block = slice(self.rows_places + 3 * i, self.rows_places + 3 * i + 3)
             covariance[block, block] = self.problem.surveyed[t].covariance_m2

@@ -15,7 +15,7 @@ from campaign.las import StripReader
 from campaign.sensors import LidarSheet
 from campaign.survey import SurveyedTarget
 from evaluator.frames import WorldFrame
-from evaluator.georeference import TargetReturns, lidar_points, nominal_mountings, world_points
+from evaluator.georeference import TargetReturns, corrected_points, lidar_points, nominal_mountings, world_points
 from evaluator.model import CampaignData, EvaluationError, Mounting
 from evaluator.observe.waveforms import decompose
 
@@ -192,7 +192,9 @@ def lidar_panel_observations(
                 if key not in returns:
                     continue
                 rows = returns[key].returns
-                p_lidar = lidar_points(rows.xyz_m, rows.gps_time_s, sortie.trajectory, data.rig, frame)
+                p_lidar = corrected_points(
+                    lidar_points(rows.xyz_m, rows.gps_time_s, sortie.trajectory, data.rig, frame), data.range_correction
+                )
                 world = world_points(p_lidar, rows.gps_time_s, sortie.trajectory, mounting, frame)
                 origin = world_points(np.zeros_like(p_lidar), rows.gps_time_s, sortie.trajectory, mounting, frame)
                 on = _returns_on_panel(
