@@ -10,6 +10,7 @@ import scipy.linalg
 import scipy.stats
 
 from evaluator.frames import euler_angles
+from evaluator.helping_strip import helping_strips
 from evaluator.model import (
     EvaluationError,
     MarkObservation,
@@ -308,7 +309,8 @@ def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray |
     Returns
     -------
     MountingSolution
-        `companions` hold the variance factors, correlations beyond 0.95, and what is not determined.
+        `companions` hold the variance factors, correlations beyond 0.95, what is not determined, and with `snoop` the strip that
+        would determine it.
 
     Raises
     ------
@@ -328,6 +330,7 @@ def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray |
     camera, lidar = system.mountings(x)
     rotation, translation = camera_from_lidar(camera, lidar)
     std = np.sqrt(np.diag(covariance))
+    helping = helping_strips(system.problem, x, covariance) if snoop else []
     clocks = dict(zip(names[12:], x[12:], strict=True))
     return MountingSolution(
         names=names,
@@ -355,6 +358,7 @@ def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray |
                 name for name, s, prior in zip(names, std, system.prior_std, strict=True) if s > 0.5 * prior
             ],
             "prior_std": [float(s) for s in system.prior_std],
+            **({"strip_that_would_help": [w.block() for w in helping]} if helping else {}),
         },
         prior_std=system.prior_std,
         camera_clock_s=float(clocks.get("camera_clock", 0.0)),

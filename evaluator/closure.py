@@ -61,7 +61,7 @@ class Closure:
         }
 
 
-def _estimator(design: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+def joint_estimator(design: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """N^-1 A' V^-1: what takes observations to unknowns, (unknowns, rows)."""
     factor = np.linalg.cholesky(covariance)
     white = scipy.linalg.solve_triangular(factor, design, lower=True, check_finite=False)
@@ -69,7 +69,7 @@ def _estimator(design: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.asarray(scipy.linalg.solve_triangular(factor, gain.T, lower=True, trans="T", check_finite=False).T)
 
 
-def _alone(system: System, design: np.ndarray, covariance: np.ndarray, sensor: str) -> np.ndarray:
+def alone_estimator(system: System, design: np.ndarray, covariance: np.ndarray, sensor: str) -> np.ndarray:
     """Estimator of one sensor's parameters from its own rows, the surveyed places and its priors: (6 + clock, all rows)."""
     own = np.array([k for k, name in enumerate(system.names) if name.startswith(sensor)])
     seen = (
@@ -80,7 +80,7 @@ def _alone(system: System, design: np.ndarray, covariance: np.ndarray, sensor: s
     rows = np.concatenate([seen, np.arange(system.rows_places, system.rows_prior), system.rows_prior + own])
     columns = np.concatenate([own, np.arange(system.count, design.shape[1])])
     out = np.zeros((len(own), len(design)))
-    out[:, rows] = _estimator(design[np.ix_(rows, columns)], covariance[np.ix_(rows, rows)])[: len(own)]
+    out[:, rows] = joint_estimator(design[np.ix_(rows, columns)], covariance[np.ix_(rows, rows)])[: len(own)]
     return out
 
 
@@ -112,8 +112,8 @@ def closure(problem: Problem, solution: MountingSolution) -> Closure:
     linear = system.linearise(np.concatenate([solution.parameters, marks.ravel()]))
     alone = np.zeros((12, system.size))
     for first, sensor in ((0, "camera"), (6, "lidar")):
-        alone[first : first + 6] = _alone(system, linear.design, linear.covariance, sensor)[:6]
-    change = alone - _estimator(linear.design, linear.covariance)[:12]
+        alone[first : first + 6] = alone_estimator(system, linear.design, linear.covariance, sensor)[:6]
+    change = alone - joint_estimator(linear.design, linear.covariance)[:12]
     apart = np.concatenate([camera.parameters[:6], lidar.parameters[:6]])
     jacobian = np.zeros((6, 12))
     for j in range(12):
