@@ -181,8 +181,8 @@ def _in_image(lens: Lens, uv_px: np.ndarray) -> np.ndarray:
     return np.asarray(np.all((uv_px > 0.0) & (uv_px < [2.0 * lens.cx_px, 2.0 * lens.cy_px]), axis=1))
 
 
-def with_strip(problem: Problem, strip: Strip, camera: Mounting) -> Problem:
-    """The problem with one strip more; its observations have variances and places, and values that mean nothing."""
+def with_strip(problem: Problem, strip: Strip, camera: Mounting, lidar: Mounting) -> Problem:
+    """The problem with one strip more: observations with variances, at the values that the surveyed places give them."""
     centre = np.mean([s.mark_world_m for s in problem.surveyed.values()], axis=0)
     old = problem.trajectories[strip.sortie]
     seen = sorted({o.target for o in problem.marks} | {o.target for o in problem.vertices})
@@ -218,20 +218,25 @@ def with_strip(problem: Problem, strip: Strip, camera: Mounting) -> Problem:
             ]
     if problem.vertices:
         variance = np.median([v.covariance_m2 for v in problem.vertices], axis=0)
+        scans = middle + (places - centre) @ along / strip.speed_m_s
+        body, rotation = body_pose(flight, scans, problem.world_frame)
+        offset = np.array([problem.surveyed[t].vertex_from_mark_m for t in seen])
+        in_body = np.einsum("nji,nj->ni", rotation, places + offset - body)
+        points = (in_body - lidar.lever_arm_m) @ lidar.rotation
         vertices = [
             VertexObservation(
                 target=target,
                 sortie=strip.sortie,
                 strip=number,
-                gps_time_s=float(middle + (place - centre) @ along / strip.speed_m_s),
+                gps_time_s=float(scan),
                 time_spread_s=0.0,
-                point_lidar_m=np.zeros(3),
+                point_lidar_m=point,
                 covariance_m2=variance,
                 faces=4,
                 points=1,
                 rms_m=0.0,
             )
-            for target, place in zip(seen, places, strict=True)
+            for target, scan, point in zip(seen, scans, points, strict=True)
         ]
     return replace(
         problem,
@@ -281,10 +286,10 @@ def helping_strips(problem: Problem, parameters: np.ndarray, covariance: np.ndar
     flown = flown_strips(problem) if weak else []
     if not flown:
         return []
-    camera, _ = system.mountings(parameters)
+    camera, lidar = system.mountings(parameters)
     tried = []
     for strip in candidate_strips(flown, problem.rig.kind):
-        wider = predicted_covariance(with_strip(problem, strip, camera), parameters)[np.ix_(own, own)]
+        wider = predicted_covariance(with_strip(problem, strip, camera, lidar), parameters)[np.ix_(own, own)]
         tried.append((strip.name, np.sqrt(np.diag(wider)), np.abs(_partners(names, wider)[1])))
     out = []
     for name, (std, partner, correlation) in weak.items():

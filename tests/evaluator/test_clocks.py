@@ -162,8 +162,12 @@ def test_prediction_holds_for_a_strip_that_is_flown() -> None:
     assert [s.speed_m_s for s in strips] == pytest.approx([5.0] * 4, abs=0.15)
     assert strips[0].shots_m == pytest.approx((-3.0, 3.0), abs=0.11)
     for candidate in candidate_strips(strips):
-        more = with_strip(problem, candidate, solution.body_from_camera)
+        more = with_strip(problem, candidate, solution.body_from_camera, solution.body_from_lidar)
         assert len(more.vertices) == len(problem.vertices) + 16
+        system = System(more)
+        linear = system.linearise(np.concatenate([solution.parameters, system.places.ravel()]))
+        new = slice(system.rows_vertices + 3 * len(problem.vertices), system.rows_places)
+        assert np.abs(linear.residual[new]).max() < 1e-2  # its values belong to its place: the clock's 5 mm and no more
         after = predicted_covariance(more, solution.parameters)
         assert np.all(np.diag(after) < np.diag(before) * (1.0 + 1e-6))
 
