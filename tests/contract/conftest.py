@@ -44,6 +44,9 @@ MICRO = (
     "faults.lidar_clock_s=-0.000391",
     "faults.range_offset_m=0.0123719",
     "faults.range_scale=0.0000631",
+    "faults.principal_distance_px=0.713911",
+    "faults.principal_point_px=[0.317713, -0.291317]",
+    "faults.k1=0.000331719",
     "faults.lidar_gain=0.973117",
     "faults.camera_gain=1.021739",
 )

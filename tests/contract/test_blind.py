@@ -55,6 +55,8 @@ def injected(config: Config) -> dict[str, float]:
     for name, value in config.faults.model_dump().items():
         parts = value if isinstance(value, tuple) else (value,)
         for axis, part in enumerate(parts):
+            if part is None or part == 0.0:  # not injected; zeros stand everywhere
+                continue
             out[f"{name}[{axis}]"] = part
             if name.endswith("_deg"):
                 out[f"{name}[{axis}] in radians"] = float(np.radians(part))
