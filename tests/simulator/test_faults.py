@@ -9,6 +9,7 @@ import pytest
 from campaign.config import Config
 from campaign.errors import ConfigError
 from campaign.load import load_config
+from campaign.truth import read_truth
 from scenes.build import build_scene
 from scenes.model import Scene
 from simulator import rig
@@ -18,6 +19,7 @@ from simulator.faults import require_targets, true_lens, with_true_lens
 from simulator.flight import fly
 from simulator.frames import SiteFrame
 from simulator.paperwork import surveyed_targets
+from simulator.simulate import simulate_campaign
 
 TINY = Path(__file__).parents[1] / "data" / "tiny.toml"
 LENS = ("faults.principal_distance_px=2.5", "faults.principal_point_px=[1.5, -0.75]", "faults.k1=0.004")
@@ -140,3 +142,36 @@ def test_the_survey_of_an_empty_range_has_no_rows(scene: Scene) -> None:
     """A range with only panels is surveyed like any other."""
     panels = replace(scene, targets=tuple(t for t in scene.targets if t.kind == "panel"))
     assert len(_places(panels)) == 20
+
+
+def test_a_flight_with_a_lens_fault_is_another_picture_under_the_same_papers(tmp_path: Path) -> None:
+    """Rationale: closed loop of the room. Expected: truth/ has the faulty lens and its marks where that lens sees them; sheets,
+    plan and survey are those of the flight without the fault, byte for byte; truth/campaign.toml still asks for the fault."""
+    small = (
+        'campaign.parts=["camera"]',
+        "flight.heights_m=[22.0]",
+        "flight.headings_deg=[0.0]",
+        "camera.width_px=320",
+        "camera.height_px=240",
+        "camera.pixel_size_um=40.0",
+        "camera.lens.fx_px=330.0",
+        "camera.lens.fy_px=330.0",
+        "camera.lens.cx_px=161.0",
+        "camera.lens.cy_px=118.0",
+        "render.target_samples=1",
+    )
+    folders = []
+    for name, overrides in (("plain", ()), ("fault", LENS)):
+        folder = tmp_path / name
+        folder.mkdir()
+        simulate_campaign(config(*small, *overrides), folder)
+        folders.append(folder)
+    plain, fault = folders
+    for paper in ("sensors/camera.json", "sensors/rig.json", "survey/targets.csv", "plan.json"):
+        assert (plain / paper).read_bytes() == (fault / paper).read_bytes(), paper
+    before, after = read_truth(plain), read_truth(fault)
+    assert after.lens == true_lens(config(*small, *LENS))
+    assert before.lens == config(*small).camera.lens
+    assert "principal_distance_px = 2.5" in (fault / "truth" / "campaign.toml").read_text(encoding="utf-8")
+    image = next((plain / "sorties" / "01" / "images").glob("*.tif"))
+    assert image.read_bytes() != (fault / image.relative_to(plain)).read_bytes()
