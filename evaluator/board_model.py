@@ -143,37 +143,40 @@ def remap(problem: BoardProblem, views: Views, xi: np.ndarray, place_m: np.ndarr
     )
 
 
-def pixel_covariance(views: Views) -> np.ndarray:
-    """(2 n, 2 n) of the pixels alone."""
-    n = len(views.board)
-    out = np.zeros((2 * n, 2 * n))
-    each = np.arange(2 * n).reshape(n, 2)
-    out[each[:, :, None], each[:, None, :]] = views.covariance_px2
-    return out
-
-
-def observation_covariance(problem: BoardProblem, views: Views, at: Remapped) -> np.ndarray:
-    """Covariance of all pixels, row order u v of each observation: pixel, survey, navigation, lens, clock.
+def navigation_part(problem: BoardProblem, views: Views, at: Remapped) -> np.ndarray:
+    """Covariance of all pixels from what moves whole images: navigation, and the clock against it.
 
     Returns
     -------
-    (2 n, 2 n) np.ndarray
+    (2 n, 2 n) np.ndarray, row order u v of each observation.
     """
-    n = len(views.board)
     axes = _ENU_FROM_NED @ euler_rates(euler_angles(_ENU_FROM_NED.T @ views.world_from_body))
-    total = pixel_covariance(views) + navigation_covariance(
+    total = navigation_covariance(
         (at.by_place @ _ENU_FROM_NED).reshape(-1, 3),
         (at.by_attitude @ axes).reshape(-1, 3),
         np.repeat(views.time_s, 2),
         np.repeat(views.sortie, 2),
         problem.rig.navigation,
     )
+    clock = at.by_attitude @ views.turn_rate_rad_s[:, :, None] - at.by_place @ views.velocity_m_s[:, :, None]
+    drift = clock.ravel()
+    return np.asarray(total + problem.rig.camera.clock_std_s**2 * np.outer(drift, drift))
+
+
+def observation_covariance(problem: BoardProblem, views: Views, at: Remapped) -> np.ndarray:
+    """Covariance of all pixels from everything: pixel, survey, lens, navigation, clock.
+
+    Returns
+    -------
+    (2 n, 2 n) np.ndarray, row order u v of each observation.
+    """
+    n = len(views.board)
+    total = navigation_part(problem, views, at)
+    each = np.arange(2 * n).reshape(n, 2)
+    total[each[:, :, None], each[:, None, :]] += views.covariance_px2
     lens = at.by_lens.reshape(2 * n, 9)
     total += lens @ problem.lens_covariance @ lens.T
     place = at.by_place.reshape(2 * n, 3)
-    same = np.repeat(views.board, 2)[:, None] == np.repeat(views.board, 2)[None, :]
-    spread = place[:, None, :] @ problem.place_covariance_m2[np.repeat(views.board, 2)]
-    total += np.where(same, spread[:, 0] @ place.T, 0.0)
-    clock = at.by_attitude @ views.turn_rate_rad_s[:, :, None] - at.by_place @ views.velocity_m_s[:, :, None]
-    drift = clock.reshape(2 * n)
-    return np.asarray(total + problem.rig.camera.clock_std_s**2 * np.outer(drift, drift))
+    board = np.repeat(views.board, 2)
+    spread = (place[:, None, :] @ problem.place_covariance_m2[board])[:, 0]
+    return np.asarray(total + np.where(board[:, None] == board[None, :], spread @ place.T, 0.0))

@@ -1,4 +1,4 @@
-"""Centres of 2x2 boards on rendered pictures: the simulator's board, light and sensor on one side, the evaluator's fit on the other.
+"""Centres of 2x2 boards on rendered pictures: the simulator's board, light and sensor against the evaluator's fit.
 
 Acceptance 2 of the boards: boards of 12 to 60 px at any azimuth, slant up to 40 degrees, blur up to 1 px.
 """
@@ -61,9 +61,7 @@ def range_of_boards() -> tuple[Scene, RenderScene]:
         material_of.append(piece.material)
         owner.append(np.full(len(piece.faces), k))
         part.append(piece.part)
-        targets.append(
-            Target(id=f"B{k + 1:02d}", kind="board", mark_m=mark, azimuth_deg=azimuth, size_m=boards.size_m)
-        )
+        targets.append(Target(id=f"B{k + 1:02d}", kind="board", mark_m=mark, azimuth_deg=azimuth, size_m=boards.size_m))
     scene = Scene(
         mesh=Mesh(
             vertices_m=np.concatenate(vertices),
