@@ -3,7 +3,7 @@
 The pattern itself is fitted by `observe.boards`; the mounting is solved by `mounting_by_boards`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from evaluator.observe.boards import BoardFit, BoardView, find_board, sides_px
 
 _HAND_STD_PX = 0.5  # of a pixel that a person picked
 _SHADOW_SHARE = 0.6  # a board whose white has less than this of the others' lies in a shadow
+_OTHER_AZIMUTH = "the board that stands there has the azimuth of "
 _GRID = np.array([[x, y] for x in (-0.5, 0.0, 0.5) for y in (-0.5, 0.0, 0.5)])
 
 
@@ -213,6 +214,21 @@ def observe_boards(
     return _without_shadowed(found, reasons), reasons
 
 
+def boards_not_found(reasons: Mapping[str, str], observations: Sequence[BoardObservation]) -> dict[str, str]:
+    """Boards without any observation, and the reason that most of their images give."""
+    found = {o.target for o in observations}
+    by_board: dict[str, list[str]] = {}
+    for key, reason in sorted(reasons.items()):
+        by_board.setdefault(key.split(", ")[0], []).append(reason)
+    return {b: max(lines, key=lines.count) for b, lines in by_board.items() if b not in found}
+
+
+def swapped_by_azimuth(not_found: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Pairs of boards each of which stands at the other's azimuth: their places are exchanged in the survey."""
+    other = {b: r.removeprefix(_OTHER_AZIMUTH) for b, r in not_found.items() if r.startswith(_OTHER_AZIMUTH)}
+    return sorted((a, b) for a, b in other.items() if a < b and other.get(b) == a)
+
+
 def _height(data: CampaignData, view: BoardView, target: SurveyedTarget) -> float:
     """Distance at which the board has its predicted size. [m]"""
     assert data.camera is not None
@@ -242,7 +258,7 @@ def _find(
         turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         as_other = replace(view, offset_from_board=view.offset_from_board @ turned)
         if isinstance(find_board(grey, as_other, search_px, clipped_at=clipped, black_level=black_level), BoardFit):
-            return f"the board that stands there has the azimuth of {other.id}: their places are swapped in the survey"
+            return f"{_OTHER_AZIMUTH}{other.id}"
     return fit
 
 

@@ -6,6 +6,7 @@ named here. What this flight cannot determine has no value; the strip that would
 boards in images: `board_observations`.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,7 +20,13 @@ from evaluator.board_blunders import (
     without_blunders,
 )
 from evaluator.board_model import BoardProblem, Views, navigation_part, remap, views_of
-from evaluator.board_observations import BoardObservation, observe_boards, surveyed_boards
+from evaluator.board_observations import (
+    BoardObservation,
+    boards_not_found,
+    observe_boards,
+    surveyed_boards,
+    swapped_by_azimuth,
+)
 from evaluator.board_strips import helping_strips
 from evaluator.frames import WorldFrame
 from evaluator.geometry import certified_lens
@@ -65,6 +72,7 @@ class BoardMounting:
     iterations: int
     boards: tuple[str, ...]  # used
     count: dict[str, object] = field(default_factory=dict)  # the same from the half-window count
+    not_found: dict[str, str] = field(default_factory=dict)  # boards that no image shows well, and why
 
     @property
     def mean_residual_px(self) -> float:
@@ -103,6 +111,7 @@ class BoardMounting:
             "iterations": self.iterations,
             "rejected": list(self.rejected),
             "swapped": [list(pair) for pair in self.swapped],
+            "not_found": dict(self.not_found),
             "half_window_count": dict(self.count),
             "residuals": [
                 {
@@ -273,7 +282,9 @@ def solve_board_problem(problem: BoardProblem, views: Views, observations: list[
     )
 
 
-def solve_by_boards(data: CampaignData, observations: list[BoardObservation]) -> BoardMounting:
+def solve_by_boards(
+    data: CampaignData, observations: list[BoardObservation], reasons: Mapping[str, str] | None = None
+) -> BoardMounting:
     """The camera's mounting from the boards' centres in all images.
 
     Parameters
@@ -281,6 +292,9 @@ def solve_by_boards(data: CampaignData, observations: list[BoardObservation]) ->
     data : CampaignData
     observations : list of BoardObservation
         Of all images, from `observe_boards`.
+    reasons : mapping, optional
+        "target, image" -> why there is no centre, of all images, from `observe_boards`: boards that were never found are then
+        named in the result, swapped ones as such.
 
     Returns
     -------
@@ -296,4 +310,8 @@ def solve_by_boards(data: CampaignData, observations: list[BoardObservation]) ->
     The patent's steps S3 to S7; W. Baarda, A testing procedure for use in geodetic networks, 1968.
     """
     problem, views = build_board_problem(data, observations)
-    return solve_board_problem(problem, views, observations)
+    found = solve_board_problem(problem, views, observations)
+    not_found = boards_not_found(reasons or {}, observations)
+    pairs = swapped_by_azimuth(not_found)
+    lines = [f"{a} and {b} are swapped: each stands at the other's azimuth" for a, b in pairs]
+    return replace(found, rejected=(*found.rejected, *lines), swapped=(*found.swapped, *pairs), not_found=not_found)
