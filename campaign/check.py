@@ -105,9 +105,11 @@ class _Check(Collector):
             self.add(
                 "error", path, "is no plain file; expected a campaign folder that holds its files itself; copy it in"
             )
-        for path in (self.folder.plan, self.folder.targets, self.folder.spectra, self.folder.camera, self.folder.lidar):
-            if path.is_dir() and not path.is_symlink():
-                self.add("error", path, "is a folder; expected a file")
+        bench = self.folder.root / "bench"
+        places = (bench, self.folder.sphere_stability, self.folder.sphere_repeatability, self.folder.chessboard)
+        for path in (*places, self.folder.ranging, self.folder.ranging / "scans"):
+            if path.is_file() and not path.is_symlink():
+                self.add("error", path, "is a file; expected a folder")
 
     def manifest(self, manifest: Manifest, checksums: bool) -> None:
         for line in verify_files(self.folder.root, manifest, checksums=checksums):

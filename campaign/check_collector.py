@@ -63,6 +63,9 @@ class Collector:
             if expected:
                 self.add("warning", path, NOT_MEASURED)
             return None
-        if not path.is_file():
-            return None  # named by `plain_files`, or a folder of that name
+        if path.is_dir() and not path.is_symlink():
+            self.add("error", path, "is a folder; expected a file")
+            return None
+        if not path.is_file() or not self.folder.holds(path):
+            return None  # named by `plain_files`
         return self.read(path, reader)

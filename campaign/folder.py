@@ -1,7 +1,9 @@
-"""Where each file of a campaign folder stands. Paths only; nothing is opened here. Layout: docs/campaign_folder.md."""
+"""Where each file of a campaign folder stands, and whether a path stays in it. Opens nothing. Layout: docs/campaign_folder.md."""
 
 from dataclasses import dataclass
 from pathlib import Path
+
+from campaign.errors import CampaignError
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,23 @@ class CampaignFolder:
     """Paths inside one campaign folder."""
 
     root: Path
+
+    def holds(self, path: Path) -> bool:
+        """Whether a path of this folder, links resolved, stays in it."""
+        try:
+            return path.resolve().is_relative_to(self.root.resolve())
+        except (OSError, RuntimeError):
+            return False
+
+    def held(self, path: Path) -> Path:
+        """The path itself; raises CampaignError where a link leads out of the folder."""
+        if not self.holds(path):
+            raise CampaignError(
+                "a link leads out of the campaign folder",
+                where=str(path),
+                remedy="copy what it leads to into the folder",
+            )
+        return path
 
     @property
     def manifest(self) -> Path:

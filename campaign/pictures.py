@@ -12,12 +12,22 @@ import numpy as np
 import tifffile
 
 from campaign.errors import CampaignError
-from campaign.formats.exif import jpeg_size
+from campaign.formats.exif import jpeg_frame
 from campaign.images import MAX_IMAGE_BYTES, check_strips, first_page, open_tiff
 
 MAX_FILE_BYTES = 1_300_000_000
 MAX_SIDE_PX = 65_000
 _PNG = b"\x89PNG\r\n\x1a\n"
+_YCBCR = 6
+_COLOURS = (1, 2, _YCBCR)  # TIFF 6.0 photometric interpretation: grey with black zero, YCbCr, RGB
+_COLOUR_NAMES = {
+    0: "grey with white zero",
+    3: "a palette",
+    _YCBCR: "YCbCr pixels",
+    32803: "a mosaic (CFA)",
+    34892: "LinearRaw",
+}
+_JPEG = (6, 7)  # TIFF compression
 _PNG_BANDS = {0: 1, 2: 3, 3: 3, 4: 1, 6: 3}  # colour type -> bands without alpha; a palette becomes RGB
 
 
@@ -49,10 +59,10 @@ def picture_size(path: Path) -> PictureSize:
         width, height = struct.unpack(">II", head[16:24])
         return _bounded(path, width, height, _PNG_BANDS[head[25]], 16 if head[24] == 16 else 8)
     if head[:2] == b"\xff\xd8":
-        size = jpeg_size(_whole(path))
-        if size is None:
+        frame = jpeg_frame(_whole(path))
+        if frame is None:
             raise CampaignError("is no readable JPEG", where=str(path))
-        return _bounded(path, *size, 3, 8)
+        return _bounded(path, *frame, 8)
     if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
         with open_tiff(path) as tiff:
             return _tiff_size(path, first_page(path, tiff))
@@ -81,12 +91,26 @@ def read_picture(path: Path) -> np.ndarray:
     if decoded is None or decoded.shape[:2] != shape or decoded.dtype not in (np.uint8, np.uint16):
         raise CampaignError("cannot be decoded", where=str(path))
     found = np.asarray(decoded).reshape(*shape, -1)
-    if found.shape[2] == 2:
-        found = found[..., :1]
+    if size.bands == 1:
+        found = found[..., :1]  # grey with alpha
     return np.ascontiguousarray(found[..., 2::-1] if found.shape[2] >= 3 else found)
 
 
 def _tiff_size(path: Path, page: tifffile.TiffPage) -> PictureSize:
+    """Refuses what tifffile would give as numbers that are no linear DN of whole pixels: previews, mosaics, palettes."""
+    colour = int(page.photometric)
+    coded = colour == _YCBCR and int(page.compression) not in _JPEG  # tifffile makes RGB of JPEG's alone
+    if page.subfiletype & 1 or colour not in _COLOURS or coded:
+        what = (
+            "a preview" if page.subfiletype & 1 else _COLOUR_NAMES.get(colour, f"photometric interpretation {colour}")
+        )
+        raise CampaignError(
+            "the first picture in the file cannot be measured",
+            where=str(path),
+            got=what,
+            expected="grey (black is zero) or RGB",
+            remedy="export linear TIFF",
+        )
     if page.dtype not in (np.uint8, np.uint16):
         raise CampaignError("picture of another depth", where=str(path), got=page.dtype, expected="uint8 or uint16")
     check_strips(path, page)

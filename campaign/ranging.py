@@ -111,7 +111,7 @@ def scan_path(folder: CampaignFolder, number: int) -> Path:
 
 
 def scan_paths(folder: CampaignFolder) -> dict[int, Path]:
-    """Number -> file of every scan on disk, in order."""
+    """Number -> file of every scan on disk, in order; none that a link takes out of the folder."""
     parent = folder.ranging / "scans"
     if not parent.is_dir():
         return {}
@@ -119,6 +119,7 @@ def scan_paths(folder: CampaignFolder) -> dict[int, Path]:
     return dict(found)
 
 
+    found = [(number, path) for number, path in found if folder.holds(path)]
 def write_line(path: Path, line: RangingLine) -> None:
     """line.json."""
     write_model(path, line)

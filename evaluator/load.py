@@ -37,7 +37,7 @@ def load_campaign(root: Path) -> CampaignData:
         if not path.exists():
             return None
         try:
-            if not path.is_file():
+            if not folder.held(path).is_file():
                 raise CampaignError("is no file", where=str(path))
             return read()
         except TestrangeError as error:

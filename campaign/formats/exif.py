@@ -106,12 +106,18 @@ def jpeg_segment(marker: int, payload: bytes) -> bytes:
 
 def jpeg_size(data: bytes) -> tuple[int, int] | None:
     """(width, height) that a JPEG's frame header states; None where there is none."""
+    frame = jpeg_frame(data)
+    return None if frame is None else frame[:2]
+
+
+def jpeg_frame(data: bytes) -> tuple[int, int, int] | None:
+    """(width, height, bands) that a JPEG's frame header states; None where there is none."""
     for marker, at, _ in _segments(data):
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            if at + 5 > len(data):
+            if at + 6 > len(data):
                 return None
-            height, width = struct.unpack_from(">HH", data, at + 1)
-            return width, height
+            height, width, bands = struct.unpack_from(">HHB", data, at + 1)
+            return width, height, bands
     return None
 
 

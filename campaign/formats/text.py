@@ -20,6 +20,7 @@ MAX_FIELD = 100_000
 MAX_PROBLEMS = 100  # of one file; whoever has more has the wrong file
 _ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
+_FILE_NAME_RULE = "a file name without a folder, of letters A-Z a-z, digits, _ - and . only (no .., no first . or -)"
 
 Parse = Callable[[str], Any]
 M = TypeVar("M", bound=BaseModel)
@@ -76,9 +77,9 @@ def identifier(text: str) -> str:
 
 
 def file_name(text: str) -> str:
-    """A file name without a folder: it cannot leave the folder that it is joined to."""
+    """A file name without a folder, of letters, digits, _ - and . only: it cannot leave the folder that it is joined to."""
     if not _FILE_NAME.fullmatch(text) or ".." in text:
-        raise ValueError("a file name without a folder")
+        raise ValueError(_FILE_NAME_RULE)
     return text
 
 
@@ -207,19 +208,23 @@ def _cell(value: object) -> object:
 
 
 def read_model(path: Path, model: type[M]) -> M:
-    """A JSON file as a validated model."""
+    """A JSON file as a validated model; the error holds a line for each wrong key, as that of a table does for each cell."""
     text = read_bounded(path, MAX_JSON_BYTES)
     try:
         return model.model_validate_json(text, strict=True)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
+        wrong = error.errors(include_url=False)
     except RecursionError:
         raise CampaignError("is nested too deeply", where=str(path)) from None
-    key = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "json_invalid":
-        raise CampaignError("is not valid JSON", where=str(path), got=first["msg"].split(": ", 1)[-1])
-    got = None if first["type"] == "missing" else json.dumps(first["input"], default=str)[:60]
-    raise CampaignError(first["msg"], where=f"{path} {key}".strip(), got=got)
+    if wrong[0]["type"] == "json_invalid":
+        raise CampaignError("is not valid JSON", where=str(path), got=wrong[0]["msg"].split(": ", 1)[-1])
+    problems = []
+    for one in wrong[:MAX_PROBLEMS]:
+        key = ".".join(str(part) for part in one["loc"])
+        got = None if one["type"] == "missing" else json.dumps(one["input"], default=str)[:60]
+        problems.append(CampaignError(one["msg"], where=f"{path} {key}".strip(), got=got))
+    raise_problems(problems)
+    raise AssertionError("pydantic names at least one error")
 
 
 def write_model(path: Path, model: BaseModel) -> None:

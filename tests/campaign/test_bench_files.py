@@ -314,6 +314,61 @@ def test_hostile_pictures(tmp_path: Path, name: str, content: bytes) -> None:
         one_line(caught, name)
 
 
+@pytest.mark.parametrize(
+    ("options", "got"),
+    [
+        ({"photometric": "rgb", "subfiletype": 1}, "a preview"),
+        ({"photometric": 32803}, "a mosaic (CFA)"),
+        ({"photometric": "palette", "colormap": np.zeros((3, 256), np.uint16)}, "a palette"),
+        ({"photometric": "miniswhite"}, "grey with white zero"),
+        ({"photometric": 34892}, "LinearRaw"),
+        ({"photometric": 8}, "photometric interpretation 8"),
+    ],
+)
+def test_tiffs_that_are_no_linear_picture(tmp_path: Path, options: dict, got: str) -> None:
+    """Rationale: a DNG's first page is its preview; mosaics, palettes and inverted grey come out of tifffile as plain numbers, and
+    8.2 would be measured on them. Expected: one line with what it is and the remedy, from the size and from reading."""
+    path = tmp_path / "p.tif"
+    colour = options["photometric"] in ("rgb", 8, 34892)
+    tifffile.imwrite(path, np.full((8, 9, 3) if colour else (8, 9), 7, np.uint8), **options)
+    for read in (picture_size, read_picture):
+        with pytest.raises(CampaignError) as caught:
+            read(path)  # type: ignore[operator]
+        assert f"got {got};" in one_line(caught, "p.tif") and "export linear TIFF" in str(caught.value)
+
+
+def test_bands_of_a_jpeg(tmp_path: Path) -> None:
+    """Rationale: three bands in the header of a grey JPEG gave three equal channels. Expected: one band; header and pixels
+    have the same number of bands agree for grey, colour, and grey PNG with alpha."""
+    cv2.imwrite(str(tmp_path / "grey.jpg"), np.full((16, 24), 90, np.uint8))
+    cv2.imwrite(str(tmp_path / "colour.jpg"), np.full((16, 24, 3), 90, np.uint8))
+    (tmp_path / "alpha.png").write_bytes(png(24, 16, colour=4, data=(b"\0" + b"\x5a\xff" * 24) * 16))
+    for name, bands in (("grey.jpg", 1), ("colour.jpg", 3), ("alpha.png", 1)):
+        assert picture_size(tmp_path / name).bands == bands
+        assert read_picture(tmp_path / name).shape == (16, 24, bands)
+        assert np.abs(read_picture(tmp_path / name).astype(int) - 90).max() <= 1
+
+
+def test_every_wrong_key_of_a_sheet(tmp_path: Path) -> None:
+    """Rationale: whoever corrects a file wants all its faults in one run. Expected: a line with its key for each of four faults;
+    the text names the first and counts the others."""
+    write_json(tmp_path / "board.json", {"inner_columns": 2, "inner_rows": "7", "squares_m": 0.03})
+    with pytest.raises(CampaignError) as caught:
+        read_board(tmp_path / "board.json")
+    keys = [line.partition("board.json ")[2].partition(":")[0] for line in caught.value.problems]
+    assert sorted(keys) == ["inner_columns", "inner_rows", "square_m", "squares_m"]
+    assert "and 3 more problems in this file" in one_line(caught, "board.json inner_columns")
+
+
+@pytest.mark.parametrize("name", ["IMG 1.tif", "\u56fe.tif", "a/b.tif", "..", ".a.tif", "a..tif"])
+def test_which_file_names_are_legal(tmp_path: Path, name: str) -> None:
+    """Rationale: "wrong value" for "IMG 1.tif" does not tell what is wrong. Expected: the line states the legal characters."""
+    (tmp_path / "log.csv").write_text(f"image\n{name}\n", encoding="utf-8")
+    with pytest.raises(CampaignError) as caught:
+        read_board_log(tmp_path / "log.csv")
+    assert "letters A-Z a-z, digits, _ - and . only" in one_line(caught, "log.csv row 2 column image")
+
+
 def test_million_by_million_tiff(tmp_path: Path) -> None:
     """Rationale: the same for a TIFF whose tags lie. Expected: one line; nothing is allocated."""
     path = tmp_path / "million.tif"

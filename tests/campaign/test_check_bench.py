@@ -1,5 +1,6 @@
 """What `check` says of bench/ and ranging/: a sound folder has no line, each fault has one."""
 
+import shutil
 import struct
 import zlib
 from collections.abc import Callable
@@ -32,6 +33,7 @@ from campaign.ranging import (
     line_path,
     readings_path,
     scan_path,
+    scan_paths,
     write_line,
     write_readings,
 )
@@ -211,6 +213,53 @@ def test_each_fault_is_a_line(
     assert hits, found
     assert all(line.startswith(severity) for line in hits)
     assert all(len(line.splitlines()) == 1 and str(bench_campaign.root) not in line for line in found)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "ranging/line.json",
+        "ranging/total_station.csv",
+        "bench/room.json",
+        "bench/chessboard/board.json",
+        "bench/sphere_stability/log.csv",
+        "sensors/camera.json",
+    ],
+)
+def test_a_folder_in_the_place_of_a_file(bench_campaign: CampaignFolder, name: str) -> None:
+    """Expected: one error of the folder, as of any unreadable file."""
+    (bench_campaign.root / name).unlink()
+    (bench_campaign.root / name).mkdir()
+    write_manifest(bench_campaign.root, read_manifest(bench_campaign.root))
+    assert lines(bench_campaign).count(f"error: {name}: is a folder; expected a file") == 1
+
+
+@pytest.mark.parametrize("name", ["bench", "bench/chessboard", "ranging", "ranging/scans"])
+def test_a_file_in_the_place_of_a_folder(bench_campaign: CampaignFolder, name: str) -> None:
+    """Expected: one error; without it the part would silently be absent."""
+    shutil.rmtree(bench_campaign.root / name)
+    (bench_campaign.root / name).write_text("hello")
+    write_manifest(bench_campaign.root, read_manifest(bench_campaign.root))
+    assert f"error: {name}: is a file; expected a folder" in lines(bench_campaign)
+
+
+def test_links_that_lead_out_are_named_and_not_opened(bench_campaign: CampaignFolder, tmp_path: Path) -> None:
+    """Rationale: a hostile campaign may link to any file of the machine. Expected: a line for each link, that it is no plain file;
+    nothing of what it leads to (broken JSON, no picture, no LAS) is told; a scan behind a link is none."""
+    secret = tmp_path / "secret"
+    secret.write_text("{ secret")
+    names = ["bench/room.json", "bench/sphere_stability/S_000.tif", "ranging/line.json", "ranging/scans/scan_01.laz"]
+    for name in names:
+        (bench_campaign.root / name).unlink()
+        (bench_campaign.root / name).symlink_to(secret)
+    found = lines(bench_campaign)
+    for name in names:
+        plain = [line for line in found if f": {name}: " in line]
+        assert [line.partition(": ")[2].partition(": ")[2].partition(";")[0] for line in plain] == [
+            "leaves the campaign folder",
+            "is no plain file",
+        ] + ["is not read"] * name.endswith(".laz")
+    assert list(scan_paths(bench_campaign)) == [2]
 
 
 def test_no_scan_and_previews(bench_campaign: CampaignFolder) -> None:
