@@ -14,7 +14,8 @@ import scipy.linalg
 import scipy.stats
 
 from evaluator.adjustment import camera_from_lidar_vector, kept_problem
-from evaluator.model import MountingSolution
+from evaluator.helping_strip import weak_parameters
+from evaluator.model import MountingSolution, SensorSolution
 from evaluator.mounting_model import Problem, System
 from evaluator.single_sensor import solve_camera, solve_lidar
 
@@ -33,6 +34,8 @@ class Closure:
     chi_square: float
     freedom: int
     limit_95: float  # of chi_square
+    camera: SensorSolution  # each sensor alone
+    lidar: SensorSolution
 
     @property
     def closes(self) -> bool:
@@ -58,7 +61,24 @@ class Closure:
             "freedom": self.freedom,
             "limit_95": self.limit_95,
             "closes": self.closes,
+            "camera_alone": _side(self.camera),
+            "lidar_alone": _side(self.lidar),
         }
+
+
+def _side(solution: SensorSolution) -> dict[str, object]:
+    """One sensor against the body, in degrees, metres and seconds."""
+    units = ["s" if "clock" in n else "m" if "lever_arm" in n else "deg" for n in solution.names]
+    scale = np.array([np.degrees(1.0) if unit == "deg" else 1.0 for unit in units])
+    return {
+        "names": list(solution.names),
+        "units": units,
+        "estimates": [float(v) for v in solution.parameters * scale],
+        "std": [float(v) for v in np.sqrt(np.diag(solution.covariance)) * scale],
+        "sigma0": solution.sigma0,
+        "redundancy": solution.redundancy,
+        "not_determined": sorted(weak_parameters(solution.names, solution.covariance, solution.prior_std)),
+    }
 
 
 def joint_estimator(design: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -136,6 +156,8 @@ def closure(problem: Problem, solution: MountingSolution) -> Closure:
         chi_square=chi_square,
         freedom=freedom,
         limit_95=float(scipy.stats.chi2.ppf(0.95, freedom)),
+        camera=camera,
+        lidar=lidar,
     )
 
 

@@ -108,6 +108,13 @@ def test_block_is_json_in_degrees_and_metres() -> None:
     assert block["covariance"][0][4] == pytest.approx(np.degrees(found.covariance[0, 4]))
     assert block["z"][2] == pytest.approx(found.difference[2] / np.sqrt(found.covariance[2, 2]))
     assert block["closes"] is (found.chi_square <= 12.591587)
+    side = block["lidar_alone"]
+    assert side["units"] == ["deg", "deg", "deg", "m", "m", "m"]
+    assert side["estimates"][1] == pytest.approx(np.degrees(found.lidar.parameters[1]))
+    assert side["estimates"][4] == pytest.approx(found.lidar.parameters[4])
+    # alone, with the navigation between its strips, the LiDAR has only the two heights to part these
+    assert side["not_determined"] == ["lidar_boresight_pitch", "lidar_lever_arm_x"]
+    assert block["camera_alone"]["names"][0] == "camera_boresight_roll"
 
 
 def test_one_sensor_alone_cannot_close() -> None:
