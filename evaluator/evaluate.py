@@ -17,9 +17,11 @@ from campaign.images import read_image, read_preview
 from campaign.records import CameraObservation, Exposure, read_camera_observations
 from campaign.threads import one_blas_thread
 from evaluator.benches import evaluate_benches, flight_lens, flight_ranges
+from evaluator.board_observations import BoardObservation, observe_boards
 from evaluator.c8_1_lidar_reflectance import PanelReflectances, evaluate_lidar_reflectance
 from evaluator.c8_3_reflectance_consistency import evaluate_reflectance_consistency
 from evaluator.c9_3_calibration import CalibrationResult, evaluate_calibration
+from evaluator.closure import closure
 from evaluator.conformity import ConformityInputs, conformity_rows
 from evaluator.coverage import targets_in_images, targets_outside_images, targets_outside_strips
 from evaluator.diagnosis import deviations, suspects
@@ -29,6 +31,7 @@ from evaluator.georeference import TargetReturns, collect_target_returns, nomina
 from evaluator.load import in_folder
 from evaluator.load import load_campaign as read_campaign
 from evaluator.model import CampaignData, EvaluationError, MarkObservation, Mounting, SortieData
+from evaluator.mounting_by_boards import solve_by_boards
 from evaluator.observe.examples import waveform_examples
 from evaluator.observe.panel_images import panel_image_values, region_pixels
 from evaluator.observe.panels import ImagePanelObservation, LidarPanelObservation, lidar_panel_observations
@@ -51,6 +54,8 @@ class _Findings:
 
     marks: list[MarkObservation] = field(default_factory=list)
     mark_reasons: dict[str, str] = field(default_factory=dict)
+    boards: list[BoardObservation] = field(default_factory=list)
+    board_reasons: dict[str, str] = field(default_factory=dict)
     panels: list[ImagePanelObservation] = field(default_factory=list)
     regions: list[Region] = field(default_factory=list)
     brightness: dict[str, list[float]] = field(default_factory=dict)
@@ -91,6 +96,7 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
     _outside(targets_outside_images(data), strict, findings)
     returns = _returns_near_targets(data, findings, progress)
     _outside(targets_outside_strips(data, returns, _collect_radius_m(data)), strict, findings)
+    _look_for_targets(data, findings, progress)
     geometry, geometry_reason = _geometry(data, returns, findings, progress)
     camera, lidar = _mountings(data, geometry)
     progress("panels", 0, 2)
@@ -130,7 +136,9 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
         conformity=tuple(conformity_rows(data, measured)),
         mounting=solution,
         mounting_reason=geometry_reason,
-        mounting_prior_std=_prior_std(data),
+        mounting_prior_std=solution.prior_std if solution else None,
+        boards=_boards_block(data, findings),
+        closure=_closure_block(geometry),
         problems=tuple(findings.problems),
         data=data,
         marks=tuple(findings.marks),
@@ -217,18 +225,11 @@ def _picked(sortie: SortieData, findings: _Findings) -> list[CameraObservation]:
         return []
 
 
-def _geometry(
-    data: CampaignData,
-    returns: dict[tuple[int, int, str], TargetReturns],
-    findings: _Findings,
-    progress: Report,
-) -> tuple[GeometryResult | None, str | None]:
-    """Marks of every image, then both mountings; or why there are none."""
-    if data.rig is None or data.camera is None:
-        missing = "sensors/rig.json" if data.rig is None else "sensors/camera.json"
-        return None, f"{missing} is missing or unreadable"
-    if not any(t.kind == "frustum" for t in data.targets):
-        return None, "the survey holds no frustum target"
+def _look_for_targets(data: CampaignData, findings: _Findings, progress: Report) -> None:
+    """Marks and boards of every image; nothing without the rig and the camera's sheet."""
+    wanted = {t.kind for t in data.targets} & {"frustum", "board"}
+    if data.rig is None or data.camera is None or not wanted:
+        return
     nominal = nominal_mountings(data.rig)[0]
     heights = {(s.sortie, s.strip): s.height_m for s in data.plan.strips} if data.plan is not None else {}
     frames = list(_exposures(data))
@@ -236,21 +237,35 @@ def _geometry(
     hand = {sortie.folder.number: _picked(sortie, findings) for sortie in data.sorties}
     for done, (sortie, exposure) in enumerate(frames, start=1):
         height = heights.get((sortie.folder.number, exposure.strip), exposure.focus_distance_m)
+        picked = hand[sortie.folder.number]
         try:
-            marks, reasons = observe_marks(
-                data,
-                sortie,
-                exposure,
-                _image(data, sortie, exposure),
-                nominal,
-                search_radius_px(data, height),
-                hand[sortie.folder.number],
-            )
-            findings.marks += marks
-            findings.mark_reasons |= reasons
+            image = _image(data, sortie, exposure)
+            if "frustum" in wanted:
+                search = search_radius_px(data, height)
+                marks, reasons = observe_marks(data, sortie, exposure, image, nominal, search, picked)
+                findings.marks += marks
+                findings.mark_reasons |= reasons
+            if "board" in wanted:
+                boards, reasons = observe_boards(data, sortie, exposure, image, nominal, None, picked)
+                findings.boards += boards
+                findings.board_reasons |= reasons
         except TestrangeError as error:
             findings.problem(error)
         progress("marks", done, len(frames))
+
+
+def _geometry(
+    data: CampaignData,
+    returns: dict[tuple[int, int, str], TargetReturns],
+    findings: _Findings,
+    progress: Report,
+) -> tuple[GeometryResult | None, str | None]:
+    """Both mountings from the marks and the returns; or why there are none."""
+    if data.rig is None or data.camera is None:
+        missing = "sensors/rig.json" if data.rig is None else "sensors/camera.json"
+        return None, f"{missing} is missing or unreadable"
+    if not any(t.kind == "frustum" for t in data.targets):
+        return None, "the survey holds no frustum target" if data.targets else "no survey/targets.csv"
     progress("mounting", 0, 1)
     try:
         result = solve_geometry(data, findings.marks, returns)
@@ -259,6 +274,31 @@ def _geometry(
     finally:
         progress("mounting", 1, 1)
     return result, None
+
+
+def _boards_block(data: CampaignData, findings: _Findings) -> dict[str, object]:
+    """The camera's mounting by the patent's boards; empty where the survey holds none."""
+    if not any(t.kind == "board" for t in data.targets):
+        return {}
+    try:
+        found = solve_by_boards(data, findings.boards)
+    except EvaluationError as error:
+        return {
+            "status": "not_measured",
+            "reason": str(error),
+            "not_found": dict(sorted(findings.board_reasons.items())),
+        }
+    return {"status": "measured", **found.results_block(), "not_found": dict(sorted(findings.board_reasons.items()))}
+
+
+def _closure_block(geometry: GeometryResult | None) -> dict[str, object]:
+    """Camera-body and LiDAR-body against camera-LiDAR."""
+    if geometry is None:
+        return {}
+    try:
+        return closure(geometry.problem, geometry.solution).block()
+    except EvaluationError as error:
+        return {"reason": str(error)}
 
 
 def _mountings(data: CampaignData, geometry: GeometryResult | None) -> tuple[Mounting | None, Mounting | None]:
@@ -348,13 +388,6 @@ def _calibration(
     except EvaluationError as error:
         return None, not_measured("pixel", "(20)", "9.3", str(error))
     return result, result.indicator
-
-
-def _prior_std(data: CampaignData) -> np.ndarray | None:
-    if data.rig is None:
-        return None
-    sheets = (data.rig.camera, data.rig.lidar)
-    return np.concatenate([[np.radians(s.boresight_std_deg)] * 3 + [s.lever_arm_std_m] * 3 for s in sheets])
 
 
 def _panel_values(

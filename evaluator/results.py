@@ -5,7 +5,7 @@ results.json holds no path and no time of day, and the same evaluation gives the
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -94,7 +94,7 @@ class Evaluation:
     conformity: tuple[Row, ...] = ()
     mounting: MountingSolution | None = None
     mounting_reason: str | None = None  # why there is none
-    mounting_prior_std: np.ndarray | None = None  # (12,) rad and m, in the solution's order
+    mounting_prior_std: np.ndarray | None = None  # rad, m and s, in the solution's order
     problems: tuple[str, ...] = ()  # parts of the folder that could not be read
     data: CampaignData | None = None  # the campaign as read: for the report, and to take its path out of every text
     # for figures
@@ -111,6 +111,10 @@ class Evaluation:
     sphere: SphereResult | None = None
     chessboard: ChessboardResult | None = None
     ranging: RangingResult | None = None
+    boards: Mapping[str, object] = field(
+        default_factory=dict
+    )  # the camera's mounting by 2x2 boards, or why there is none
+    closure: Mapping[str, object] = field(default_factory=dict)  # camera-body and LiDAR-body against camera-LiDAR
     deviations: tuple[Deviation, ...] = ()  # what was stated against what was found
     survey_doubts: tuple[str, ...] = ()  # targets whose surveyed place the observations contradict
 
@@ -188,9 +192,14 @@ def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
     return np.asarray(out)
 
 
-def _scale(n: int) -> np.ndarray:
-    """Radians to degrees for the three angles of each six parameters."""
-    return np.tile(np.repeat([np.degrees(1.0), 1.0], 3), n // 6)
+def _units(names: Sequence[str]) -> list[str]:
+    """deg, m or s of each mounting parameter."""
+    return ["s" if "clock" in n else "m" if "lever_arm" in n else "deg" for n in names]
+
+
+def _scale(names: Sequence[str]) -> np.ndarray:
+    """Radians to degrees; metres and seconds stay."""
+    return np.array([np.degrees(1.0) if unit == "deg" else 1.0 for unit in _units(names)])
 
 
 def not_determined(solution: MountingSolution, prior_std: np.ndarray | None) -> list[dict[str, object]]:
@@ -200,9 +209,9 @@ def not_determined(solution: MountingSolution, prior_std: np.ndarray | None) -> 
     Returns
     -------
     list of dict
-        name, std and prior_std (deg or m), partner and correlation: the figures behind the judgement.
+        name, std and prior_std (deg, m or s), partner and correlation: the figures behind the judgement.
     """
-    scale = _scale(len(solution.names))
+    scale = _scale(solution.names)
     std = np.sqrt(np.diag(solution.covariance))
     sensor = np.array([name.split("_")[0] for name in solution.names])
     others = np.where(sensor[:, None] == sensor, np.abs(correlation_matrix(solution.covariance)), 0.0)
@@ -231,16 +240,18 @@ def _mounting_pose(mounting: Mounting) -> dict[str, object]:
 def mounting_block(evaluation: Evaluation) -> dict[str, object]:
     """The joint adjustment in degrees and metres: estimates against nominal, covariance, correlation, camera_from_lidar."""
     solution = evaluation.mounting
+    boards = {"boards": evaluation.boards} if evaluation.boards else {}
     if solution is None:
-        return {"status": "not_measured", "reason": evaluation.mounting_reason or "no adjustment was made"}
-    scale, six = _scale(len(solution.names)), _scale(6)
+        reason = evaluation.mounting_reason or "no adjustment was made"
+        return {"status": "not_measured", "reason": reason, **boards}
+    scale, six = _scale(solution.names), np.repeat([np.degrees(1.0), 1.0], 3)
     covariance = solution.covariance * np.outer(scale, scale)
     relative = solution.camera_from_lidar_covariance * np.outer(six, six)
     prior = evaluation.mounting_prior_std
     return {
         "status": "measured",
         "names": solution.names,
-        "units": ["m" if "lever_arm" in n else "deg" for n in solution.names],
+        "units": _units(solution.names),
         "estimates": solution.parameters * scale,
         "std": np.sqrt(np.diag(covariance)),
         "prior_std": None if prior is None else prior * scale,
@@ -264,6 +275,8 @@ def mounting_block(evaluation: Evaluation) -> dict[str, object]:
         "iterations": solution.iterations,
         "rejected": solution.rejected,
         "companions": solution.companions,
+        **({"closure": evaluation.closure} if evaluation.closure else {}),
+        **boards,
     }
 
 

@@ -99,6 +99,7 @@ def true_values(truth: Truth, rig: Rig | None) -> dict[str, float]:
             values[f"{sensor}_boresight_{axis}"] = float(angle)
         for axis, error in zip(_AXES[1], mounting.lever_arm_error_m):
             values[f"{sensor}_lever_arm_{axis}"] = float(error)
+    values |= {"camera_clock": truth.camera_clock_s, "lidar_clock": truth.lidar_clock_s}
     rotation, translation = camera_from_lidar(truth.camera, truth.lidar)
     nominal_camera, nominal_lidar = nominal_mountings(rig)
     nominal = nominal_camera.rotation.T @ nominal_lidar.rotation
@@ -263,6 +264,19 @@ def _map_items(results: dict[str, Any], truth: Truth, where: str) -> list[ScoreI
     ]
 
 
+def _board_estimates(block: Any, where: str) -> dict[str, tuple[str, float, float]]:
+    """Quantity -> unit, estimate, standard deviation by 2x2 boards; what the flight does not determine has no estimate."""
+    if not isinstance(block, dict) or block.get("status") != "measured":
+        return {}
+    try:
+        rows = zip(block["names"], block["units"], block["estimates"], block["std"], strict=True)
+        known = [row for row in rows if row[2] is not None]
+    except (KeyError, TypeError, ValueError):
+        raise EvaluationError("the block of the boards is torn", where=f"{where}: mounting.boards") from None
+    columns = dict(zip(("names", "units", "estimates", "std"), (list(c) for c in zip(*known)))) if known else {}
+    return _estimates(columns, f"{where}: mounting.boards") if columns else {}
+
+
 def score_items(results: dict[str, Any], truth: dict[str, float], where: str) -> tuple[ScoreItem, ...]:
     """Every estimated quantity whose truth is known."""
     mounting = results["mounting"]
@@ -272,6 +286,11 @@ def score_items(results: dict[str, Any], truth: dict[str, float], where: str) ->
         found = _estimates(mounting, f"{where}: mounting")
         if isinstance(relative, dict):
             found |= _estimates(relative, f"{where}: mounting.camera_from_lidar")
+    by_boards = _board_estimates(mounting.get("boards"), where)
+    if not found:  # boards alone: the flight's only word on the camera's mounting
+        found |= by_boards
+    found |= {f"boards_{name}": value for name, value in by_boards.items()}
+    truth = truth | {f"boards_{name}": truth[name] for name in by_boards if name in truth}
     found |= _bench_estimates(results, where)
     items = []
     for name, (unit, estimate, std) in found.items():

@@ -201,7 +201,7 @@ def residual_vectors(evaluation: Evaluation) -> Figure:
 
 
 def correlations(evaluation: Evaluation) -> Figure | None:
-    """Correlation matrix of the twelve mounting parameters."""
+    """Correlation matrix of the mounting parameters, and of the clocks where they were estimated."""
     solution = evaluation.mounting
     if solution is None:
         return None
@@ -210,8 +210,9 @@ def correlations(evaluation: Evaluation) -> Figure | None:
     axes = drawn.add_subplot()
     picture = axes.imshow(matrix, vmin=-1, vmax=1, cmap="RdBu_r")
     names = [f"{s} {n}" for s in ("cam", "lidar") for n in _LABELS]
-    axes.set_xticks(range(12), names, rotation=90)
-    axes.set_yticks(range(12), names)
+    names += [n.replace("camera", "cam").replace("_", " ") for n in solution.names[12:]]
+    axes.set_xticks(range(len(names)), names, rotation=90)
+    axes.set_yticks(range(len(names)), names)
     axes.grid(False)
     for i, j in zip(*np.nonzero(np.abs(np.tril(matrix, -1)) > 0.3)):
         axes.text(
