@@ -17,7 +17,7 @@ from campaign.bench import SphereExposure
 from evaluator.bench_model import SphereResult, SphereSeries
 from evaluator.load import in_folder
 from evaluator.model import CampaignData, EvaluationError
-from evaluator.observe.sphere_images import CentralPixels, central_pixels
+from evaluator.observe.sphere_images import CentralPixels, central_pixels, copied, unlit
 from evaluator.results_model import IndicatorValue, not_measured
 from evaluator.series_trend import first_third, trend
 
@@ -229,7 +229,8 @@ def _series(
     left_out: list[str] = []
     for exposure in log:
         try:
-            read.append((exposure, central_pixels(folder / exposure.image, data.camera)))
+            path = data.folder.held(folder / exposure.image)
+            read.append((exposure, central_pixels(path, data.camera)))
         except Exception as error:  # whatever a decoder makes of a hostile file
             left_out.append(f"{exposure.image}: {_why(error, data.folder.root)}")
         step()
@@ -260,10 +261,9 @@ def _series(
             reason += f"; first left out: {left_out[0]}"
         return refused(reason, left_out=left_out), None
     series = _gathered(data, used, left_out, worst)
-    dark = [name for name, mean in zip(series.bands, series.dn.mean(axis=0), strict=True) if mean <= 0.0]
-    if dark:
-        reason = f"{method.place}: channel {dark[0]} is not above the black level; lengthen the exposure (8.2.2 d)"
-        return refused(reason, left_out=left_out), None
+    no_series = unlit(series.bands, [p for _, p in used]) or copied([p for _, p in used])
+    if no_series:
+        return refused(f"{method.place}: {no_series}", left_out=left_out), None
     return _indicator(method, series, [e for e, _ in used], [p for _, p in used]), series
 
 
@@ -314,11 +314,11 @@ def _indicator(
             "worst_channel": series.bands[worst],
             "sd_dn": standard_deviation_dn(series.dn[:, worst]),
             "mean_dn": mean_dn(series.dn[:, worst]),
-            "channels": _channels(method, series, log),
+            "channels": _channels(method, series, log if all(p.linear for p in pixels) else []),
             **_trend_companions(series),
             **_lamp_companions(series, log),
             "images_used": n,
-            "linear_pixels": not any(name.lower().endswith((".jpg", ".jpeg")) for name in series.images),
+            "linear_pixels": all(p.linear for p in pixels),
             "left_out": list(series.left_out),
             "duration_s": float(series.time_s[-1]),
             "saturated_share": series.saturated_share,
@@ -329,7 +329,8 @@ def _indicator(
 
 
 def _channels(method: _Method, series: SphereSeries, log: list[SphereExposure]) -> dict[str, dict[str, float | None]]:
-    """Every channel's figures; the part of photon noise in them where one gain is recorded for all images."""
+    """Every channel's figures; the part of photon noise in them where one gain is recorded for all rows of the log (none where
+    the pixels are not linear: no gain is theirs)."""
     gains = {e.gain_e_per_dn for e in log}
     gain = gains.pop() if len(gains) == 1 else None
     out: dict[str, dict[str, float | None]] = {}

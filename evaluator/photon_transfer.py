@@ -83,7 +83,7 @@ def photon_transfer(data: CampaignData) -> PhotonTransfer | None:
         windows = []
         for row in rows[: 2 * _PAIRS]:
             try:
-                windows.append(_window(read_picture(folder / row.image), data))
+                windows.append(_window(read_picture(data.folder.held(folder / row.image)), data))
             except TestrangeError:
                 continue
         found = _from_windows(windows, rows)

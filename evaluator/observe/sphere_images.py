@@ -4,6 +4,7 @@ Images may be full frames of many megapixels in any format that `campaign.pictur
 rows are read.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,9 @@ from campaign.pictures import PictureSize, picture_size, read_picture
 from campaign.sensors import CameraSheet
 
 SIDE_PX = 3
+LEAST_SHARE = 0.01  # of full scale above black: see `unlit`
+_LEAST_16_BIT = 1023.0  # [DN] of a camera whose depth is not stated: 10 bit is the least that is stored in 16
+_SHEET = "sensors/camera.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +30,9 @@ class CentralPixels:
     black_dn: tuple[float, ...]  # (bands,)
     black_source: str
     saturated_share: float  # of the nine pixels in any band
+    pixels: bytes  # the nine as they stand in the file
+    full_scale_dn: float  # the last step as stated by the sheet or the file, else the least that it can be
+    linear: bool  # by the format: 16 bit, or 8 bit of a camera whose sheet has no more; never JPEG
 
 
 def central_pixels(path: Path, sheet: CameraSheet | None) -> CentralPixels:
@@ -38,13 +45,15 @@ def central_pixels(path: Path, sheet: CameraSheet | None) -> CentralPixels:
     Raises
     ------
     CampaignError
-        No file, no readable picture, or one smaller than 3 x 3 pixels.
+        No file, no readable picture, one smaller than 3 x 3 pixels, or pixels beyond the sheet's bit depth.
     """
     size = picture_size(path)
     if min(size.width_px, size.height_px) < SIDE_PX:
         raise CampaignError("too small a picture", where=str(path), got=size, expected="at least 3 x 3 px")
     block = _centre(path, size)
-    black, white, source = _levels(path, size, sheet)
+    black, white, stated, source = _levels(path, size, sheet)
+    if source == _SHEET and sheet is not None:
+        check_depth(path, block, sheet)
     full = (block >= white).any(axis=2)
     alike = (block == block[:1, :1]).all(axis=(0, 1)) & (block[0, 0] > 0.5 * white)
     clipped = size.bits == 16 and bool(alike.any())
@@ -54,6 +63,49 @@ def central_pixels(path: Path, sheet: CameraSheet | None) -> CentralPixels:
         black_dn=tuple(float(v) for v in black),
         black_source=source,
         saturated_share=1.0 if clipped else float(full.mean()),
+        pixels=block.tobytes(),
+        full_scale_dn=white if stated or size.bits == 8 else _LEAST_16_BIT,
+        linear=(size.bits == 16 or source == _SHEET) and path.suffix.lower() not in (".jpg", ".jpeg"),
+    )
+
+
+def check_depth(path: Path, dn: np.ndarray, sheet: CameraSheet) -> None:
+    """Raises CampaignError where a DN is beyond what the sheet's bit depth can hold: black level and gain would not fit either."""
+    top = int(dn.max())
+    if top > 2**sheet.bit_depth - 1:
+        raise CampaignError(
+            f"the pixels go beyond sensors/camera.json's {sheet.bit_depth} bit: scaled on export?",
+            where=str(path),
+            got=f"{top} DN",
+            expected=f"at most {2**sheet.bit_depth - 1}",
+        )
+
+
+def unlit(bands: Sequence[str], pixels: Sequence[CentralPixels]) -> str | None:
+    """Why the light of a series cannot be judged, or None.
+
+    Below 1 % of full scale the lamp is off or the shutter closed: one DN by which a 14-bit camera's black level is wrong changes
+    every relative figure by 0.6 % and more, and read noise is of the signal's size. A sphere is exposed to half the scale or so.
+    """
+    mean = np.array([p.dn for p in pixels]).mean(axis=0)
+    worst = int(mean.argmin())
+    if mean[worst] <= 0.0:
+        return f"channel {bands[worst]} is not above the black level; lengthen the exposure (8.2.2 d)"
+    least = LEAST_SHARE * min(p.full_scale_dn for p in pixels)
+    if mean[worst] < least:
+        return (
+            f"channel {bands[worst]} is hardly above the black level: is the lamp on? got {mean[worst]:.3g} DN, "
+            f"expected at least {least:.3g} DN (1 % of full scale); lengthen the exposure (8.2.2 d)"
+        )
+    return None
+
+
+def copied(pixels: Sequence[CentralPixels]) -> str | None:
+    """Why images that are all alike are no series, or None: photons and read-out never repeat nine pixels in every image."""
+    if len({p.pixels for p in pixels}) > 1:
+        return None
+    return (
+        f"the nine central pixels are the same in all {len(pixels)} images: one picture copied, or none of the sensor's"
     )
 
 
@@ -74,18 +126,19 @@ def _centre(path: Path, size: PictureSize) -> np.ndarray:
     return read_picture(path)[row : row + SIDE_PX, column : column + SIDE_PX]
 
 
-def _levels(path: Path, size: PictureSize, sheet: CameraSheet | None) -> tuple[np.ndarray, float, str]:
-    """Black level of each band, the last step, and where the black level comes from."""
+def _levels(path: Path, size: PictureSize, sheet: CameraSheet | None) -> tuple[np.ndarray, float, bool, str]:
+    """Black level of each band, the last step, whether that is stated, and where the black level comes from."""
     if sheet is not None and sheet.bit_depth <= size.bits:
-        return np.full(size.bands, sheet.black_level_dn), 2.0**sheet.bit_depth - 1.0, "sensors/camera.json"
+        return np.full(size.bands, sheet.black_level_dn), 2.0**sheet.bit_depth - 1.0, True, _SHEET
     tags = _tags(path)
     last = 2.0**size.bits - 1.0
     whites = _band_values(tags.get("WhiteLevel"), size.bands)
-    white = last if whites is None or not 0.0 < whites.min() <= last else float(whites.min())
+    stated = whites is not None and 0.0 < float(whites.min()) <= last
+    white = float(whites.min()) if whites is not None and stated else last
     blacks = _band_values(tags.get("BlackLevel"), size.bands)
     if blacks is None or blacks.min() < 0.0 or blacks.max() >= white:
-        return np.zeros(size.bands), white, "none recorded: 0 taken"
-    return blacks, white, "the images' BlackLevel tag"
+        return np.zeros(size.bands), white, stated, "none recorded: 0 taken"
+    return blacks, white, stated, "the images' BlackLevel tag"
 
 
 def _tags(path: Path) -> dict[str, object]:

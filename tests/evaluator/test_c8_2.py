@@ -270,13 +270,14 @@ def test_black_level_comes_from_the_sheet_the_tag_or_is_named_as_missing(place: 
 
 
 def test_eight_bit_pictures(place: CampaignFolder) -> None:
-    """Rationale: a laboratory may hand in PNG; the sheet's black level of 14 bit means nothing there.
+    """Rationale: a laboratory may hand in PNG; the sheet's black level of 14 bit means nothing there, nor does the log's gain.
 
-    Expected: grey PNG, levels 100 +- 2: RSD 2 %, black level 0, and the channel is called grey.
+    Expected: grey PNG, levels 100 +- 2: RSD 2 %, black level 0, and the channel is called grey; no photon noise, not linear. With a
+    sheet of 8 bit the DN are the camera's own: linear, and the photon noise of gain 3 stands there.
     """
     folder = place.sphere_stability
     folder.mkdir(parents=True)
-    log = [SphereExposure(image=f"s_{k}.png", gps_time_s=180.0 * k) for k in range(3)]
+    log = [SphereExposure(image=f"s_{k}.png", gps_time_s=180.0 * k, gain_e_per_dn=3.0) for k in range(3)]
     for row, level in zip(log, (98, 100, 102), strict=True):
         assert cv2.imwrite(str(folder / row.image), np.full((30, 41), level, np.uint8))
     write_sphere_log(folder / "log.csv", log)
@@ -285,7 +286,7 @@ def test_eight_bit_pictures(place: CampaignFolder) -> None:
     assert found.value == pytest.approx(2.0, rel=1e-12)
     assert found.companions["worst_channel"] == "grey"
     assert found.companions["warm_up_complete"] is None
-    assert found.companions["linear_pixels"] is True
+    assert found.companions["linear_pixels"] is False
     for row in log:
         gray = cv2.imread(str(folder / row.image), cv2.IMREAD_GRAYSCALE)
         assert cv2.imwrite(str(folder / row.image.replace("png", "jpg")), gray)
@@ -294,6 +295,74 @@ def test_eight_bit_pictures(place: CampaignFolder) -> None:
     assert coded.value == pytest.approx(2.0, rel=1e-12) and coded.companions["linear_pixels"] is False
     channels = found.companions["channels"]
     assert isinstance(channels, dict) and channels["grey"]["photon_noise_percent"] is None
+    assert channels["grey"]["photon_noise_share"] is None
+    write_sphere_log(folder / "log.csv", log)
+    write_sheet(place.camera, sheet(bit_depth=8, black_level_dn=0.0))
+    own = evaluated(place).stability.companions
+    assert own["linear_pixels"] is True
+    assert own["channels"]["grey"]["photon_noise_percent"] == pytest.approx(100 / np.sqrt(2700.0))  # type: ignore[index]
+
+
+def test_lamp_off(place: CampaignFolder) -> None:
+    """Rationale: a few DN above the black level are a closed shutter, and their RSD means nothing. Expected: at 163 DN above black
+    (below 1 % of 14 bit, 163.83) no figure, at 165 one; without a sheet the limit is 10.23, since the depth may be 10 bit."""
+    write_sheet(place.camera, sheet())
+    place.sphere_stability.mkdir(parents=True)
+    log = rows(3, 180.0)
+    write_sphere_log(place.sphere_stability / "log.csv", log)
+
+    def reason(level: float) -> str | None:
+        for k, row in enumerate(log):
+            path = place.sphere_stability / row.image
+            tifffile.imwrite(path, frame(np.array([level, 4000.0 + k, 4000.0 + k])), photometric="rgb")
+        return evaluated(place).stability.reason
+
+    assert "red is hardly above the black level: is the lamp on? got 163 DN" in str(reason(163.0))
+    assert reason(165.0) is None
+    place.camera.unlink()
+    assert "expected at least 10.2 DN" in str(reason(10.0 - BLACK)) and reason(12.0 - BLACK) is None
+
+
+def test_one_picture_copied(place: CampaignFolder) -> None:
+    """Rationale: the same file seven times is an RSD of 0 %. Expected: refused with the reason; with one image that differs by 1 DN
+    in one pixel a figure."""
+    write_series(place.sphere_stability, np.ones(7))
+    write_sheet(place.camera, sheet())
+    found = evaluated(place).stability
+    assert found.value is None and "the same in all 7 images" in str(found.reason)
+    path = place.sphere_stability / "s_004.tif"
+    dn = tifffile.imread(path)
+    dn[15, 20, 1] += 1
+    spoil(path, dn)
+    assert evaluated(place).stability.value is not None
+
+
+def test_pixels_beyond_the_sheets_depth(place: CampaignFolder) -> None:
+    """Rationale: a converter that scales 14 bit to 16 makes black level and gain wrong; "saturated" would send people to the lamp.
+    Expected: the reason names the sheet's depth and asks for scaling."""
+    write_series(place.sphere_stability, 5.0 * STEADY)
+    write_sheet(place.camera, sheet(bit_depth=12))
+    found = evaluated(place).stability
+    text = "the pixels go beyond sensors/camera.json's 12 bit: scaled on export?"
+    assert found.value is None and text in str(found.reason) and "saturated" not in str(found.reason)
+
+
+def test_links_out_of_the_folder_are_not_followed(place: CampaignFolder, tmp_path: Path) -> None:
+    """Rationale: with --keep-going a hostile campaign's links were named and read all the same. Expected: an image behind one is
+    left out with that reason, though it is a sound picture; a whole series behind one has no figure."""
+    write_series(place.sphere_stability, STEADY)
+    inside = place.sphere_stability / "s_001.tif"
+    outside = tmp_path / "outside.tif"
+    inside.rename(outside)
+    inside.symlink_to(outside)
+    found = evaluated(place).stability
+    assert found.sample_size == 6
+    line = found.companions["left_out"][0]  # type: ignore[index]
+    assert line.startswith("s_001.tif: ") and "a link leads out of the campaign folder" in line
+    place.sphere_stability.rename(tmp_path / "series")
+    place.sphere_stability.symlink_to(tmp_path / "series")
+    gone = evaluated(place).stability
+    assert gone.value is None and "a link leads out of the campaign folder" in str(gone.reason)
 
 
 @pytest.mark.parametrize("layout", ["contig", "separate", "lzw", "big"])
