@@ -248,8 +248,9 @@ def _find(
     """The board, or a reason; one that stands there at another board's azimuth is named as such."""
     clipped = 0.995 * full_scale
     fit = find_board(grey, view, search_px, clipped_at=clipped, black_level=black_level)
-    if isinstance(fit, BoardFit) or not fit.startswith("no board"):
+    if isinstance(fit, BoardFit):
         return fit
+    best, name = np.inf, ""
     for other in boards(data):
         turn = np.radians(other.azimuth_deg - target.azimuth_deg)
         if other.id == target.id or abs(np.sin(turn)) < np.sin(np.radians(5.0)):
@@ -257,9 +258,10 @@ def _find(
         c, s = np.cos(turn), np.sin(turn)
         turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         as_other = replace(view, offset_from_board=view.offset_from_board @ turned)
-        if isinstance(find_board(grey, as_other, search_px, clipped_at=clipped, black_level=black_level), BoardFit):
-            return f"{_OTHER_AZIMUTH}{other.id}"
-    return fit
+        there = find_board(grey, as_other, search_px, clipped_at=clipped, black_level=black_level)
+        if isinstance(there, BoardFit) and there.rms < best:
+            best, name = there.rms, other.id
+    return f"{_OTHER_AZIMUTH}{name}" if name else fit
 
 
 def _without_shadowed(found: list[BoardObservation], reasons: dict[str, str]) -> list[BoardObservation]:

@@ -280,8 +280,10 @@ def find_board(
     if not candidates:
         if cut:
             return "part of the board lies outside the image"
+        near = np.any(outline < search_px) or np.any(outline > size - search_px)
+        where = ", or partly outside the image" if near else ""
         return (
-            f"no board of this size and azimuth within {search_px:.0f} px: it is missing, hidden, in shadow or turned"
+            f"no board of this size and azimuth within {search_px:.0f} px: missing, hidden, in shadow or turned{where}"
         )
     fits: list[BoardFit] = []
     reason = ""
