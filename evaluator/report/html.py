@@ -266,6 +266,7 @@ def render_report(evaluation: Evaluation, score: Score | None) -> str:
         counts=counts,
         problems=results["problems"],
         mounting=results["mounting"],
+        diagnosis=results["diagnosis"],
         mounting_rows=_mounting_rows(results),
         parameters=_parameter_tables(evaluation),
         left_out=_left_out(evaluation),
