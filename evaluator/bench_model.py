@@ -54,6 +54,7 @@ class ChessboardResult:
     covariance: np.ndarray | None = None  # (9, 9) fx fy cx cy k1 k2 k3 p1 p2
     image_size_px: tuple[int, int] | None = None  # width, height
     focus_distance_m: float | None = None  # setting of the lens, where every image states the same one
+    focus_settings_m: tuple[float, ...] = ()  # every setting that an accepted image states, nearest first
     f_number: float | None = None
     images: tuple[BoardImage, ...] = ()
     not_used: dict[str, str] = field(default_factory=dict)  # image -> why

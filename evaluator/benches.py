@@ -141,6 +141,8 @@ def _unfit(data: CampaignData, camera: CameraSheet, chessboard: ChessboardResult
     """Why the calibration of 9.2 cannot stand for the camera in flight."""
     if chessboard.image_size_px != (camera.width_px, camera.height_px):
         return f"images of {chessboard.image_size_px} px, the camera's have {camera.width_px} x {camera.height_px}"
+    if len(chessboard.focus_settings_m) > 1:
+        return "the focus was changed during the series"
     value = chessboard.indicator.value
     if value is None or not value <= _WORST_PX:
         return f"M_z is {value} px"

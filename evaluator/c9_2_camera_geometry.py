@@ -19,7 +19,7 @@ from campaign.errors import TestrangeError
 from campaign.pictures import PictureSize, picture_size, read_picture
 from evaluator.bench_model import BoardImage, ChessboardResult
 from evaluator.board_adjustment import Observations, board_points
-from evaluator.c9_2_companions import CELLS, companions_of, coverage_of, positions_of, uncertainty_of
+from evaluator.c9_2_companions import CELLS, companions_of, coverage_of, positions_of, setup_notes, uncertainty_of
 from evaluator.camera_calibration import Calibration, calibrate
 from evaluator.camera_model import ideal_px, undistorted_px
 from evaluator.load import in_folder
@@ -33,6 +33,7 @@ from evaluator.observe.chessboard import (
     oriented,
     seen_size,
 )
+from evaluator.observe.sphere_images import check_depth
 from evaluator.results_model import IndicatorValue, not_measured
 
 LEAST_IMAGES = 4  # below, nothing is computed; 9.2.2 asks for 20
@@ -167,7 +168,7 @@ def _observe(data: CampaignData, board: BoardSheet, progress: Report) -> _Seen:
     sizes: dict[str, PictureSize] = {}
     for row in data.bench.board_log:
         try:
-            sizes[row.image] = picture_size(folder / row.image)
+            sizes[row.image] = picture_size(data.folder.held(folder / row.image))
         except TestrangeError as error:
             seen.not_used[row.image] = in_folder(error, root)
     count = Counter((s.width_px, s.height_px) for s in sizes.values())
@@ -184,6 +185,8 @@ def _observe(data: CampaignData, board: BoardSheet, progress: Report) -> _Seen:
     def look(row: BoardExposure, thorough: bool) -> BoardCorners | TestrangeError:
         try:
             picture = read_picture(folder / row.image)
+            if camera and picture.dtype == np.uint16:
+                check_depth(folder / row.image, picture, camera)
             return find_corners(
                 picture,
                 board.inner_columns,
@@ -240,6 +243,8 @@ def _too_few(data: CampaignData, board: BoardSheet, seen: _Seen) -> tuple[str]:
                 f"no board of {stated} in any of {of} images; {name} seems to show {hint[0]} x {hint[1]}; correct board.json",
             )
     first = next(iter(seen.not_used.items()), None)
+    if first and not looked:
+        return (f"none of {of} images can be used; for example {first[0]}: {first[1]}",)
     return (f"no board of {stated} in any of {of} images" + (f"; for example {first[0]}: {first[1]}" if first else ""),)
 
 
@@ -249,6 +254,8 @@ def _larger_board(data: CampaignData, board: BoardSheet, seen: _Seen) -> str:
         return ""
     name = seen.rows[0].image
     size = _hint(data.folder.chessboard / name, board)
+    if size is not None and (size[0] < board.inner_columns or size[1] < board.inner_rows):
+        return ""  # a part of the stated board, which is found everywhere
     stated = f"{board.inner_columns} x {board.inner_rows} inner corners"
     return f"; {name} seems to show {size[0]} x {size[1]}, board.json states {stated}" if size else ""
 
@@ -290,10 +297,12 @@ def _evaluate(data: CampaignData, board: BoardSheet, seen: _Seen) -> ChessboardR
     value = float(np.concatenate(errors).mean())
     std, low, high = uncertainty_of(errors)
     focus, f_number = _common([r.focus_distance_m for r in rows]), _common([r.f_number for r in rows])
+    settings = tuple(sorted({r.focus_distance_m for r in rows if r.focus_distance_m is not None}))
     companions = companions_of(
         calibration, obs, images, [seen.boards[i] for i in used], distance, rule, board, not_used, focus, f_number
     )
     notes = _notes(len(images), int(position.max()) + 1, board, data, same)
+    notes += setup_notes(board, distance, [row.distance_m for row in rows], settings)
     wild = [
         f"corner {c % board.inner_columns}, {c // board.inner_columns} of {seen.rows[i].image}"
         for i, c in calibration.wild
@@ -311,12 +320,14 @@ def _evaluate(data: CampaignData, board: BoardSheet, seen: _Seen) -> ChessboardR
             low_95=low,
             high_95=high,
             method="bootstrap over images, 2000 fixed draws; the calibration itself held",
-            companions=companions | {"rejected_corners": wild, "notes": notes},
+            companions=companions
+            | {"rejected_corners": wild, "notes": notes, "boards_found": [row.image for row in seen.rows]},
         ),
         lens=calibration.lens,
         covariance=calibration.covariance,
         image_size_px=size,
         focus_distance_m=focus,
+        focus_settings_m=settings,
         f_number=f_number,
         images=images,
         not_used=not_used,

@@ -19,6 +19,7 @@ from evaluator.observe.chessboard import BoardCorners
 CELLS = (8, 6)  # columns and rows of the field's coverage
 _GAP = 0.08  # between the estimated distances of two positions
 _STATED_GAP = 0.005  # between stated ones
+_DISTANCE_SHARE = 0.2  # between a stated and an estimated distance: a tape to the tripod is better than that
 _FOLDS = 5
 _DRAWS = 2000
 _SEED = 41450
@@ -42,6 +43,46 @@ def positions_of(distance_m: np.ndarray, stated_m: Sequence[float | None]) -> tu
     position = np.empty(len(value), dtype=np.int64)
     position[order] = np.concatenate([[0], np.cumsum(new)])
     return position, rule
+
+
+def setup_notes(
+    board: BoardSheet, distance_m: np.ndarray, stated_m: Sequence[float | None], focus_m: Sequence[float]
+) -> list[str]:
+    """What log.csv and board.json state that does not fit the images or itself: units, above all. One line each.
+
+    Parameters
+    ----------
+    board : BoardSheet
+    distance_m : (n,) np.ndarray
+        Estimated, camera to the board's centre. [m]
+    stated_m : (n,) sequence of float or None
+        distance_m of log.csv.
+    focus_m : sequence of float
+        Every focus setting of the series.
+    """
+    notes = []
+    ratio = np.array([s / d for s, d in zip(stated_m, distance_m, strict=True) if s is not None])
+    off = np.abs(ratio - 1.0) > _DISTANCE_SHARE
+    if off.any():
+        notes.append(
+            f"distance_m of log.csv differs from the estimated distance by more than {_DISTANCE_SHARE:.0%} in {off.sum()} of "
+            f"{ratio.size} images (it is {np.median(ratio[off]):.3g} times it): check its unit, and square_m of board.json"
+        )
+    for count, whole, key in (
+        (board.inner_columns + 1, board.width_m, "width_m"),
+        (board.inner_rows + 1, board.height_m, "height_m"),
+    ):
+        squares = count * board.square_m
+        if whole is not None and (squares > whole * (1.0 + 1e-6) or squares < whole / 3.0):
+            notes.append(
+                f"{count} squares of square_m are {squares:.3g} m, where {key} of board.json is {whole:.3g} m: check their units"
+            )
+    if len(focus_m) > 1:
+        notes.append(
+            f"the focus was changed during the series: {len(focus_m)} settings from {focus_m[0]:g} to {focus_m[-1]:g} m; one lens "
+            "was estimated for all"
+        )
+    return notes
 
 
 def coverage_of(images: Sequence[BoardImage], size_px: tuple[int, int], cells: tuple[int, int]) -> np.ndarray:

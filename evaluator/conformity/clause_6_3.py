@@ -2,6 +2,7 @@
 
 import re
 
+from evaluator.bench_model import ChessboardResult
 from evaluator.conformity.model import ConformityInputs, Row, Status, missing, passed, row
 from evaluator.model import CampaignData
 
@@ -100,10 +101,16 @@ def _room(prefix: str, data: CampaignData) -> list[Row]:
     return rows
 
 
+def _boards_found(result: ChessboardResult) -> int:
+    """Images with the board in them, whether or not the calibration could be made or accepted them."""
+    named = result.indicator.companions.get("boards_found")
+    return len(named) if isinstance(named, list) else len(result.images)
+
+
 def _board(data: CampaignData, measured: ConformityInputs) -> list[Row]:
     board, result = data.bench.board, measured.chessboard
     taken = len(data.bench.board_log)
-    found = len(result.images) if result else None
+    found = _boards_found(result) if result else None
     sharp, size = "board's material gives sharp images", "size of the chessboard"
     limit = "at least 20 cm × 25 cm"
     rows = []

@@ -34,6 +34,20 @@ def _angles(result: ChessboardResult | None) -> Row:
     return row("9.2.2 c", requirement, text, limit, passed(angles[worst] > _ANGLE_DEG))
 
 
+def _focus(data: CampaignData, result: ChessboardResult | None) -> Row:
+    """One calibration is of one lens: whoever refocuses between images photographs the board with several."""
+    requirement, limit = "settings of the lens kept", "one focus setting in all images"
+    stated = {e.focus_distance_m for e in data.bench.board_log if e.focus_distance_m is not None}
+    if result is not None:
+        one = () if result.focus_distance_m is None else (result.focus_distance_m,)
+        stated |= {*result.focus_settings_m, *one}
+    settings = sorted(stated)
+    if not settings:
+        return missing("9.2.2 b", requirement, limit, "focus_distance_m in bench/chessboard/log.csv")
+    text = f"{settings[0]:g} m" if len(settings) == 1 else f"{len(settings)}: {settings[0]:g} m to {settings[-1]:g} m"
+    return row("9.2.2 b", requirement, text, limit, passed(len(settings) == 1))
+
+
 def _distances(result: ChessboardResult | None) -> Row:
     requirement, limit = "distances between board and camera", f"≥ {_POSITIONS}"
     if result is None or not result.distances_m:
@@ -60,4 +74,10 @@ def clause_9_2(data: CampaignData, measured: ConformityInputs) -> list[Row]:
         requirement, limit = "images of a chessboard", "9.2.2 a to h"
         return [row("9.2.2", requirement, "no chessboard in this campaign", limit, "not_applicable")]
     result = measured.chessboard
-    return [_angles(result), _covered(result), _distances(result), board_images("9.2.2", data, measured)]
+    return [
+        _focus(data, result),
+        _angles(result),
+        _covered(result),
+        _distances(result),
+        board_images("9.2.2", data, measured),
+    ]

@@ -2,15 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 from campaign.bench import BoardExposure, BoardSheet
-from campaign.config import Lens
+from campaign.config import Band, Lens
 from campaign.folder import CampaignFolder
 from campaign.manifest import Manifest
+from campaign.sensors import CameraSheet
 from evaluator.bench_model import BoardImage, ChessboardResult
 from evaluator.c9_2_camera_geometry import evaluate_chessboard, mean_reprojection_error, project_16
 from evaluator.c9_2_companions import coverage_of, positions_of, radial_at_corner_px, uncertainty_of
@@ -264,6 +266,39 @@ def test_fewer_than_twenty_is_a_figure_with_a_note(campaign: CampaignData) -> No
     assert "10 images, where 9.2.2 asks for 20" in result.indicator.companions["notes"]  # type: ignore[operator]
     assert len(result.distances_m) == 4
     assert result.focus_distance_m is None
+
+
+def test_pixels_beyond_the_sheets_depth(campaign: CampaignData) -> None:
+    """Rationale: pictures scaled from 12 to 16 bit on export are not over-exposed. Expected: the reason names the sheet's depth and
+    asks for scaling."""
+    names = [f"deep_{i}.png" for i in range(4)]
+    for name in names:
+        dn = draw(*plan(0)[:2]).astype(np.uint16) * 257
+        cv2.imwrite(str(campaign.folder.chessboard / name), dn)
+    sheet = CameraSheet(
+        name="hand camera",
+        width_px=SIZE[0],
+        height_px=SIZE[1],
+        pixel_size_um=4.5,
+        nominal_focal_length_mm=1.89,
+        f_number=4.0,
+        bit_depth=12,
+        black_level_dn=64.0,
+        bands=(Band(name="grey", centre_nm=550.0, fwhm_nm=300.0),),
+        calibration=None,
+    )
+    result = evaluate(replace(campaign, camera=sheet), named(*names))
+    reason = str(result.indicator.reason)
+    assert reason.startswith("none of 4 images can be used; for example deep_0.png: ")
+    assert "the pixels go beyond sensors/camera.json's 12 bit: scaled on export?" in reason
+
+
+def test_a_link_out_of_the_folder(campaign: CampaignData, tmp_path: Path) -> None:
+    """Rationale: the folder may be hostile. Expected: a picture behind a link that leads out is not read, though it is sound."""
+    cv2.imwrite(str(tmp_path / "x.png"), draw(*plan(0)[:2]))
+    (campaign.folder.chessboard / "link.png").symlink_to(tmp_path / "x.png")
+    result = evaluate(campaign, [*campaign.bench.board_log[:3], *named("link.png")])
+    assert "a link leads out of the campaign folder" in result.not_used["link.png"]
 
 
 def test_three_images_are_a_reason(campaign: CampaignData) -> None:
