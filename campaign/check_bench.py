@@ -14,6 +14,7 @@ from campaign.ranging import RangingLine, StationReading, line_path, read_line, 
 
 _PICTURES = {".tif", ".tiff", ".png", ".jpg", ".jpeg"}
 _SCAN_LIKE = re.compile(r".*\.(las|laz)", re.IGNORECASE)
+_NEEDED = ("slope_distance_m", "horizontal_angle_deg", "zenith_angle_deg", "temperature_c", "pressure_hpa")
 _NAMED = 3  # rows or files that a line names before it counts the rest
 
 
@@ -46,9 +47,9 @@ def _series(
     sizes: dict[PictureSize, list[str]] = {}
     for row in rows:
         path = place / row.image
-        if not path.is_file():
         if not check.folder.holds(path):
             continue  # named by `plain_files`
+        if not path.is_file():
             check.add("error", path, "named in log.csv, but missing")
             continue
         with check.catching(path):
@@ -93,9 +94,7 @@ def check_ranging(check: Collector, gps_week: int | None) -> None:
         return
     line = check.read_part(line_path(folder), read_line)
     readings = check.read_part(readings_path(folder), read_readings) or []
-    _missing_cells(
-        check, readings_path(folder), readings, ("slope_distance_m", "horizontal_angle_deg", "zenith_angle_deg")
-    )
+    _missing_cells(check, readings_path(folder), readings, _NEEDED)
     if line is not None:
         _names(check, line, readings)
     _scans(check, gps_week)
@@ -126,8 +125,8 @@ def _scans(check: Collector, gps_week: int | None) -> None:
     for path in files:
         if path not in numbers:
             check.add("error", path, "is not read; expected scan_NN.las or scan_NN.laz, one file for each number")
-        if not check.folder.holds(path):
             continue
+        if not check.folder.holds(path):
             continue
         with check.catching(path):
             if StripReader(path, gps_week=gps_week).point_count == 0:

@@ -83,6 +83,9 @@ class StationReading:
     relative_humidity_percent: float | None = None
 
 
+TEMPERATURE_C = (-40.0, 60.0)  # of the air that (12) is worked out for
+PRESSURE_HPA = (500.0, 1100.0)
+
 READING_COLUMNS: dict[str, Parse] = {
     "station": identifier,
     "panel": identifier,
@@ -90,12 +93,12 @@ READING_COLUMNS: dict[str, Parse] = {
     "slope_distance_m": optional(within(0.05, 20_000.0, "m")),
     "horizontal_angle_deg": optional(within(-360.0, 720.0, "degrees")),
     "zenith_angle_deg": optional(within(0.0, 180.0, "degrees")),
-    "temperature_c": optional(within(-60.0, 80.0, "degrees Celsius")),
-    "pressure_hpa": optional(within(400.0, 1200.0, "hPa")),
+    "temperature_c": optional(within(*TEMPERATURE_C, "degrees Celsius")),
+    "pressure_hpa": optional(within(*PRESSURE_HPA, "hPa")),
     "relative_humidity_percent": optional(within(0.0, 110.0, "%")),
 }
 _REQUIRED = READING_COLUMNS.keys() - {"temperature_c", "pressure_hpa", "relative_humidity_percent"}
-_SCAN = re.compile(r"scan_(\d{2,4})\.(las|laz)")
+_SCAN = re.compile(r"scan_(\d{2,4})\.(las|laz)", re.IGNORECASE)
 
 
 def line_path(folder: CampaignFolder) -> Path:
@@ -116,10 +119,10 @@ def scan_paths(folder: CampaignFolder) -> dict[int, Path]:
     if not parent.is_dir():
         return {}
     found = sorted((int(m.group(1)), p) for p in parent.iterdir() if (m := _SCAN.fullmatch(p.name)) and p.is_file())
+    found = [(number, path) for number, path in found if folder.holds(path)]
     return dict(found)
 
 
-    found = [(number, path) for number, path in found if folder.holds(path)]
 def write_line(path: Path, line: RangingLine) -> None:
     """line.json."""
     write_model(path, line)

@@ -8,21 +8,24 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
 
 from campaign.ranging import RangingLine
 from evaluator.bench_model import PanelRange, RangingResult
 from evaluator.model import CampaignData, EvaluationError
+from evaluator.ranging_arrangement import differences_m2, in_doubt, misread
+from evaluator.ranging_fit import MIN_PANELS, adjusted_constants, constants
 from evaluator.ranging_observations import Found, lidar_covariance_m2, observe_scans, panel_ranges, station_of, unread
 from evaluator.results_model import IndicatorValue, not_measured
 from evaluator.total_station import (
     StationResult,
+    air_notes,
     covariance_m2,
     eccentricity_covariance_m2,
     group_refractive_index,
     meteorological_correction,
     saturation_pressure_hpa,
     unknown_stations,
+    unused_stations,
 )
 
 __all__ = [
@@ -38,7 +41,6 @@ __all__ = [
 ]
 
 Report = Callable[[str, int, int], None]
-MIN_PANELS = 5  # 9.1.2 a
 UNIT, FORMULA, CLAUSE = "%", "(11)", "9.1"
 
 
@@ -168,38 +170,7 @@ def range_correction_constants(
     GB/T 41450-2022, 9.1.2 g-i, formulas (13) and (14).
     """
     measured, reference = _checked("(13)", MIN_PANELS, measured_m, reference_m)
-    return _constants(measured, reference, covariance_m2)
-
-
-def _constants(
-    measured: np.ndarray, reference: np.ndarray, covariance_m2: ArrayLike | None
-) -> tuple[float, float, np.ndarray]:
-    gain = _gain(measured, covariance_m2)
-    k2, r2 = gain @ (reference - measured)
-    if covariance_m2 is not None:
-        return float(k2), float(r2), gain @ np.asarray(covariance_m2) @ gain.T
-    residual = reference - measured - k2 - r2 * measured
-    return float(k2), float(r2), gain @ gain.T * float(residual @ residual) / (len(measured) - 2)
-
-
-def _gain(measured: np.ndarray, covariance_m2: ArrayLike | None) -> np.ndarray:
-    """(2, n) that takes differences to K_2, R_2."""
-    count, middle = len(measured), float(np.mean(measured))
-    if np.ptp(measured) < 1.0:
-        raise EvaluationError(
-            "formula (13): the panels stand at one distance", got=f"{np.ptp(measured):.2f} m", expected="1 m and more"
-        )
-    design = np.column_stack([np.ones(count), measured - middle])  # about the middle: well conditioned
-    covariance = np.eye(count) if covariance_m2 is None else np.asarray(covariance_m2, np.float64)
-    try:
-        if covariance.shape != (count, count) or not np.isfinite(covariance).all():
-            raise np.linalg.LinAlgError
-        lower = np.linalg.cholesky(covariance)
-    except np.linalg.LinAlgError:
-        raise EvaluationError("formula (13): no covariance matrix of the differences", got=covariance.shape) from None
-    gain = np.linalg.pinv(np.linalg.solve(lower, design)) @ np.linalg.inv(lower)
-    gain[0] -= gain[1] * middle
-    return np.asarray(gain)
+    return constants(measured, reference, covariance_m2)
 
 
 def corrected_range(measured_m: ArrayLike, additive_constant_m: float, multiplication_constant: float) -> np.ndarray:
@@ -252,6 +223,10 @@ def _remarks(found: Found) -> dict[str, object]:
         out["left_out"] = found.left_out
     if found.notes:
         out["notes"] = found.notes
+    if found.same_scans:
+        out["same_scans"] = found.same_scans
+    if found.beside[1]:
+        out["beside"] = {"panel": found.beside[1], "share": found.beside[0]}
     return out
 
 
@@ -262,13 +237,28 @@ def _evaluate(data: CampaignData, progress: Report, found: Found) -> RangingResu
         raise EvaluationError(unread(data, "ranging/line.json") or f"{absent} in this campaign")
     if not data.ranging.readings:
         raise EvaluationError(unread(data, "ranging/total_station.csv") or "no reading in ranging/total_station.csv")
-    found.left_out += unknown_stations(line, data.ranging.readings)
+    found.left_out += unknown_stations(line, data.ranging.readings) + unused_stations(line, data.ranging.readings)
+    site = data.manifest
+    found.notes += air_notes(line, data.ranging.readings, site.ellipsoid_height_m - site.height_anomaly_m)
     correction, reference = (station_of(data, line, serves, found) for serves in ("correction", "reference"))
     if not data.ranging.scans:
         raise EvaluationError("no scan of the ranging line", expected="ranging/scans/scan_01.laz ...")
-    observe_scans(data, line, correction, reference, found, progress)
+    try:
+        observe_scans(data, line, correction, reference, found, progress)
+    except EvaluationError:
+        suspected = misread(data, line)
+        if suspected is None:
+            raise
+        return RangingResult(indicator=_without(suspected, found, misread=suspected))
     panels, not_used = panel_ranges(line, correction, reference, found)
     usable = [p for p in panels if p.correction_m is not None and p.reference_m is not None]
+    suspected = misread(data, line) if in_doubt(line, correction, reference, usable, found) else None
+    if suspected is not None:
+        return RangingResult(
+            indicator=_without(suspected, found, misread=suspected, panels=_rows(panels)),
+            panels=tuple(panels),
+            not_used=not_used,
+        )
     if len(usable) < MIN_PANELS:
         missing = "; ".join(f"{name}: {why}" for name, why in not_used.items())
         reason = f"too few panels of the ranging line are measured; got {len(usable)}; expected at least {MIN_PANELS}"
@@ -301,30 +291,29 @@ def _adjusted(
     by_lidar, scale, freedom = lidar_covariance_m2(names, found)
     by_first, by_second = covariance_m2(correction, names), covariance_m2(reference, names)
     common = eccentricity_covariance_m2(line, reference, names)
-    differences = by_lidar + by_first + common
-    k2, r2, covariance = range_correction_constants(measured, first, differences)
+    differences = differences_m2(line, correction, reference, names, found)
+    fit = adjusted_constants(names, measured, first, differences)
+    k2, r2 = (float(v) for v in fit.constants)
+    if fit.remark is not None:
+        found.notes.append(fit.remark)
+    if fit.without is not None:
+        not_used = {**not_used, fit.without[0]: f"left out of K2 and R2, counts in m_z: {fit.remark}"}
     corrected = corrected_range(measured, k2, r2)
     mean_m = mean_range(truth)
     before_m, after_m = ranging_rmse(measured, truth), ranging_rmse(corrected, truth)
     m_z = relative_rmse(after_m, mean_m)
     # error of the corrected range minus the reference: (I - M) lidar + M first + (M - I) common - second
     design = np.column_stack([np.ones(len(measured)), measured])
-    through = design @ _gain(measured, differences)
+    through = design @ fit.gain
     rest = np.eye(len(measured)) - through
     after = rest @ (by_lidar + common) @ rest.T + through @ by_first @ through.T + by_second
     if correction.station.name == reference.station.name:  # the same readings twice
         after -= through @ by_first + by_first @ through.T
+    after *= fit.factor
     std = relative_rmse(_rmse_std(corrected - truth, after), mean_m)
-    residual = first - corrected
-    statistic = float(residual @ np.linalg.solve(differences, residual))
-    probability = float(chi2.sf(statistic, len(usable) - 2))
-    if probability < 1e-3:
-        found.notes.append(
-            f"the residuals of (14) exceed what is stated: chi-square {statistic:.0f}, {len(usable) - 2} degrees of freedom"
-        )
-    plain = range_correction_constants(measured, first)
-    held_out = _held_out(measured, first, truth, differences)
-    k2_std, r2_std = np.sqrt(np.diag(covariance))
+    plain = range_correction_constants(measured[fit.used], first[fit.used])
+    held_out = _held_out(measured, first, truth, differences, fit.used)
+    k2_std, r2_std = np.sqrt(np.diag(fit.covariance))
     rows = {p.panel: float(value) for p, value in zip(usable, corrected, strict=True)}
     panels = [
         PanelRange(**{**vars(p), "corrected_m": rows.get(p.panel, float(corrected_range(p.lidar_m, k2, r2)))})
@@ -346,7 +335,7 @@ def _adjusted(
             "additive_constant_std_m": float(k2_std),
             "multiplication_constant": r2,
             "multiplication_constant_std": float(r2_std),
-            "correlation": float(covariance[0, 1] / (k2_std * r2_std)),
+            "correlation": float(fit.covariance[0, 1] / (k2_std * r2_std)),
             "unweighted_constants": [plain[0], plain[1]],
             "rmse_m": after_m,
             "mean_range_m": mean_m,
@@ -355,9 +344,10 @@ def _adjusted(
             "expected_rmse_m": float(np.sqrt(np.trace(after) / len(usable))),
             "leave_one_panel_out_rmse_m": held_out,
             "leave_one_panel_out_percent": relative_rmse(held_out, mean_m),
-            "chi_square": statistic,
-            "chi_square_freedom": len(usable) - 2,
-            "chi_square_p": probability,
+            "chi_square": fit.chi_square,
+            "chi_square_freedom": fit.freedom,
+            "chi_square_p": fit.p,
+            **({"residuals": fit.remark} if fit.remark else {}),
             "lidar_scatter_over_fit": float(np.sqrt(scale)) if freedom >= 4 else None,
             "reading_std_m": {
                 use: result.scatter * float(np.mean([p.class_m for p in result.panels]))
@@ -374,7 +364,7 @@ def _adjusted(
         panels=tuple(panels),
         additive_constant_m=k2,
         multiplication_constant=r2,
-        covariance=covariance,
+        covariance=fit.covariance,
         not_used=not_used,
     )
 
@@ -386,12 +376,14 @@ def _rmse_std(error_m: np.ndarray, covariance: np.ndarray) -> float:
     return float(min(np.sqrt(variance) / (2.0 * np.sqrt(max(square, 1e-30))), np.sqrt(np.trace(covariance) / count)))
 
 
-def _held_out(measured: np.ndarray, first: np.ndarray, truth: np.ndarray, covariance: np.ndarray) -> float:
+def _held_out(
+    measured: np.ndarray, first: np.ndarray, truth: np.ndarray, covariance: np.ndarray, used: np.ndarray
+) -> float:
     """Root mean square of each panel's error after correction by constants from all other panels. [m]"""
     errors = []
     for k in range(len(measured)):
-        rest = np.arange(len(measured)) != k
-        k2, r2, _ = _constants(measured[rest], first[rest], covariance[np.ix_(rest, rest)])
+        rest = used & (np.arange(len(measured)) != k)
+        k2, r2, _ = constants(measured[rest], first[rest], covariance[np.ix_(rest, rest)])
         errors.append(float(corrected_range(measured[k], k2, r2)) - truth[k])
     return float(np.sqrt(np.mean(np.square(errors))))
 

@@ -13,14 +13,13 @@ from campaign.ranging import RangingLine
 from evaluator.bench_model import PanelRange
 from evaluator.load import in_folder
 from evaluator.model import CampaignData, EvaluationError
-from evaluator.observe.ranging_panels import RangedPanel, WantedPanel, panels_in_scan
-from evaluator.total_station import StationResult, readings_of
+from evaluator.observe.ranging_panels import LEAST_STD_M, RangedPanel, WantedPanel, panels_in_scan
+from evaluator.total_station import CLASS_MM, StationResult, readings_of, stations_of
 
 Report = Callable[[str, int, int], None]
 MIN_OBSERVATIONS = 5  # 9.1.2 c, f
 FULL_OVER_FWHM = 1.699  # of a Gaussian beam: width at 1/e2 over width at half maximum
 BESIDE_SHARE = 0.12  # of a panel's size: centres found and predicted agree far better when the angles are right
-CLASS_MM = {"correction": 10.0, "reference": 5.0}  # 9.1.2 c, k
 
 
 @dataclass(kw_only=True)
@@ -31,7 +30,12 @@ class Found:
     misses: dict[str, list[str]] = field(default_factory=dict)  # panel -> one line for each scan without it
     notes: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)  # readings, stations and scans that do not serve
-    scans: int = 0
+    scans: int = 0  # independent ones
+    same_scans: list[str] = field(default_factory=list)  # one line for each that repeats another
+    beside: tuple[float, str] = (
+        0.0,
+        "",
+    )  # greatest distance from where the angles put a panel, over its size; the panel
     duration_s: list[float] = field(default_factory=list)
 
 
@@ -41,11 +45,12 @@ def unread(data: CampaignData, name: str) -> str | None:
 
 
 def station_of(data: CampaignData, line: RangingLine, serves: str, found: Found) -> StationResult:
-    result, left_out = readings_of(line, data.ranging.readings, serves)
-    found.left_out += [text for text in left_out if text not in found.left_out]
     step = {"correction": "9.1.2 c", "reference": "9.1.2 k"}[serves]
-    if result is None:
+    station = stations_of(line, data.ranging.readings).get(serves)
+    if station is None:
         raise EvaluationError(f"no total station of ranging/line.json serves {serves!r} ({step})")
+    result, left_out = readings_of(line, data.ranging.readings, station)
+    found.left_out += [text for text in left_out if text not in found.left_out]
     if not result.panels:
         raise EvaluationError(
             f"no usable reading of {result.station.name}, which serves {serves!r} ({step})",
@@ -80,10 +85,18 @@ def observe_scans(
         divergence = wider * data.lidar.divergence_rad
     unit = data.lidar.amplitude_unit if data.lidar else "linear"
     reasons = []
+    seen: dict[tuple[tuple[str, float, int, float], ...], str] = {}
     progress("ranging", 0, len(data.ranging.scans))
     for done, (_, path) in enumerate(data.ranging.scans, start=1):
         try:
             scan = panels_in_scan(path, wanted, divergence, unit)
+            content = tuple((name, r.range_m, r.points, r.rms_m) for name, r in sorted(scan.panels.items()))
+            if content in seen:
+                found.same_scans.append(
+                    f"{path.name} holds the same points as {seen[content]}: no independent observation, left out"
+                )
+                continue
+            seen[content] = path.name
             found.scans += 1
             found.duration_s += [scan.duration_s] if scan.duration_s is not None else []
             for name, ranged in scan.panels.items():
@@ -93,8 +106,10 @@ def observe_scans(
         except TestrangeError as error:
             text = in_folder(error, data.folder.root)
             reasons.append(text if path.name in text else f"{path.name}: {text}")
-        progress("ranging", done, len(data.ranging.scans))
+        finally:
+            progress("ranging", done, len(data.ranging.scans))
     found.left_out += reasons
+    found.notes += found.same_scans
     if not found.scans:
         raise EvaluationError("no scan of the ranging line can be used", got=reasons[0])
 
@@ -139,7 +154,7 @@ def panel_ranges(
                 points=sum(r.points for r in ranged),
             )
         )
-    share, name = max(beside, default=(0.0, ""))
+    share, name = found.beside = max(beside, default=(0.0, ""))
     if share > BESIDE_SHARE:
         found.notes.append(
             f"{name} is found {100.0 * share:.0f} % of its size beside where the total station's angles put it: are they "
@@ -158,4 +173,4 @@ def lidar_covariance_m2(names: list[str], found: Found) -> tuple[np.ndarray, flo
         freedom += len(ranges) - 1
     scale = squares / freedom if freedom >= 4 else 1.0
     counts = np.array([len(found.ranged[name]) for name in names])
-    return np.diag(scale * np.asarray(formal) / counts), scale, freedom
+    return np.diag(np.maximum(scale * np.asarray(formal), LEAST_STD_M**2) / counts), scale, freedom

@@ -7,11 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from campaign.ranging import RangingLine, StationReading, TotalStation
+from campaign.ranging import PRESSURE_HPA, TEMPERATURE_C, RangingLine, StationReading, TotalStation
 from evaluator.model import EvaluationError
 
 MIN_READINGS = 5  # of each panel, 9.1.2 c
 OUTLIER_CLASSES = 10.0  # from the median of the panel's readings: another panel's name, a wrong unit, a wrong figure
+CLASS_MM = {"correction": 10.0, "reference": 5.0}  # 9.1.2 c, k
+HUMIDITY_PERCENT = 50.0  # where it is not recorded; all of it is worth less than 1 ppm below 30 degrees
+PRESSURE_SHARE = 0.15  # of the standard atmosphere at the site's height: weather is 5 %
+HPA_OF_MMHG = 1.333224
 LEAST_STD_M = 1e-4  # of a reading: the display's last digit, where readings repeat one figure
 
 
@@ -60,8 +64,8 @@ def group_refractive_index(
     """
     for name, value, low, high in (
         ("wavelength_um", wavelength_um, 0.3, 2.0),
-        ("temperature_c", temperature_c, -40.0, 60.0),
-        ("pressure_hpa", pressure_hpa, 500.0, 1100.0),
+        ("temperature_c", temperature_c, *TEMPERATURE_C),
+        ("pressure_hpa", pressure_hpa, *PRESSURE_HPA),
         ("relative_humidity_percent", relative_humidity_percent, 0.0, 100.0),
     ):
         if not low <= value <= high:
@@ -161,16 +165,75 @@ class StationResult:
         return next((p for p in self.panels if p.panel == panel), None)
 
 
-def readings_of(
-    line: RangingLine, readings: tuple[StationReading, ...], serves: str
-) -> tuple[StationResult | None, list[str]]:
-    """Means over the readings of the station that serves a step, and one line for each reading that is left out.
+def stations_of(line: RangingLine, readings: tuple[StationReading, ...]) -> dict[str, TotalStation]:
+    """The station of each use, "correction" and "reference"; a use that no station serves is absent.
 
-    Of several such stations the one of the best class is taken.
+    A station without a reading is taken only where no other serves. Then come the classes that the standard asks for, then
+    different stations for the two uses, then the best class for "reference" and the next for "correction".
     """
-    station = min((s for s in line.stations if serves in s.serves), key=lambda s: (s.class_mm, s.name), default=None)
-    if station is None:
-        return None, []
+    read = {r.station for r in readings}
+    serving = {use: [s for s in line.stations if use in s.serves] for use in CLASS_MM}
+    serving = {use: [s for s in found if s.name in read] or found for use, found in serving.items()}
+    pairs = [(c, r) for c in serving["correction"] for r in serving["reference"]]
+    if not pairs:
+        return {use: min(found, key=lambda s: (s.class_mm, s.name)) for use, found in serving.items() if found}
+    correction, reference = min(
+        pairs,
+        key=lambda pair: (
+            pair[1].class_mm > CLASS_MM["reference"],
+            pair[0].class_mm > CLASS_MM["correction"],
+            pair[0].name == pair[1].name,
+            pair[1].class_mm,
+            pair[0].class_mm,
+            pair[1].name,
+            pair[0].name,
+        ),
+    )
+    return {"correction": correction, "reference": reference}
+
+
+def unused_stations(line: RangingLine, readings: tuple[StationReading, ...]) -> list[str]:
+    """One line for each station of line.json that serves neither use."""
+    used = {use: s.name for use, s in stations_of(line, readings).items()}
+    taken = ", ".join(f"{name} for {use}" for use, name in used.items())
+    return [f"station {s.name}: not used; taken are {taken}" for s in line.stations if s.name not in used.values()]
+
+
+def air_notes(line: RangingLine, readings: tuple[StationReading, ...], height_m: float) -> list[str]:
+    """What of the recorded air is missing, or far from the standard atmosphere at a height above the sea. [m]"""
+    stations = {s.name for s in line.stations}
+    rows = [r for r in readings if r.station in stations and r.slope_distance_m is not None]
+    out = []
+    dry = sum(1 for r in rows if r.relative_humidity_percent is None)
+    if dry:
+        taken = f"{HUMIDITY_PERCENT:.0f} % is taken, worth less than 1 ppm below 30 degrees"
+        out.append(f"no humidity in {dry} of {len(rows)} readings: {taken}")
+    expected = standard_pressure_hpa(height_m)
+    strange = [r.pressure_hpa for r in rows if r.pressure_hpa and abs(r.pressure_hpa / expected - 1.0) > PRESSURE_SHARE]
+    if strange:
+        middle = float(np.median(strange))
+        in_mmhg = abs(middle * HPA_OF_MMHG / expected - 1.0) < PRESSURE_SHARE
+        out.append(
+            f"pressure of {len(strange)} of {len(rows)} readings ({middle:.0f} hPa) lies more than "
+            f"{100.0 * PRESSURE_SHARE:.0f} % from the standard atmosphere's {expected:.0f} hPa at {height_m:.0f} m: "
+            + (
+                f"is it in mmHg ({middle * HPA_OF_MMHG:.0f} hPa)?"
+                if in_mmhg
+                else "is it in hPa and not reduced to sea level?"
+            )
+        )
+    return out
+
+
+def standard_pressure_hpa(height_m: float) -> float:
+    """Of the standard atmosphere below 11 km (ISO 2533). [hPa]"""
+    return float(1013.25 * (1.0 - 2.25577e-5 * height_m) ** 5.25588)
+
+
+def readings_of(
+    line: RangingLine, readings: tuple[StationReading, ...], station: TotalStation
+) -> tuple[StationResult, list[str]]:
+    """Means over one station's readings, and one line for each reading that is left out."""
     known = {panel.id for panel in line.panels}
     left_out: list[str] = []
     places: dict[str, list[np.ndarray]] = {panel.id: [] for panel in line.panels}
@@ -262,7 +325,9 @@ def _place(station: TotalStation, reading: StationReading) -> np.ndarray:
         "zenith_angle_deg": reading.zenith_angle_deg,
         "temperature_c": reading.temperature_c,
         "pressure_hpa": reading.pressure_hpa,
-        "relative_humidity_percent": reading.relative_humidity_percent,
+        "relative_humidity_percent": HUMIDITY_PERCENT
+        if reading.relative_humidity_percent is None
+        else reading.relative_humidity_percent,
     }
     missing = [name for name, value in named.items() if value is None or not np.isfinite(value)]
     if missing:

@@ -1,12 +1,16 @@
 """9.1.2: how the ranging line was laid out and observed, and 5.3's classes of its total stations."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from campaign.ranging import TotalStation
-from evaluator.conformity.model import ConformityInputs, Row, missing, passed, row
+from evaluator.conformity.model import ConformityInputs, Row, missing, passed, percent, row
 from evaluator.model import CampaignData
+from evaluator.ranging_fit import LEAST_P
+from evaluator.ranging_observations import BESIDE_SHARE
+from evaluator.total_station import air_notes, stations_of
 
 _PANELS = 5
 _OBSERVATIONS = 5
@@ -20,8 +24,9 @@ def has_ranging(data: CampaignData) -> bool:
     return bool(data.ranging.line or data.ranging.readings or data.folder.ranging.is_dir())
 
 
-def _serving(data: CampaignData, use: str) -> list[TotalStation]:
-    return [s for s in data.ranging.line.stations if use in s.serves] if data.ranging.line else []
+def _used(data: CampaignData, use: str) -> TotalStation | None:
+    """The station that the evaluation takes for a use."""
+    return stations_of(data.ranging.line, data.ranging.readings).get(use) if data.ranging.line else None
 
 
 def station_rows(clauses: tuple[str, str], data: CampaignData) -> list[Row]:
@@ -41,12 +46,11 @@ def station_rows(clauses: tuple[str, str], data: CampaignData) -> list[Row]:
     for clause, name, limit, use, most in zip(
         clauses, names, limits, ("correction", "reference"), (_CORRECTION_MM, _REFERENCE_MM)
     ):
-        stations = _serving(data, use)
-        if not stations:
+        used = _used(data, use)
+        if used is None:
             rows.append(missing(clause, name, limit, f"station that serves {use} in ranging/line.json"))
             continue
-        text = ", ".join(f"{s.name}: {s.class_mm:g} mm class" for s in stations)
-        rows.append(row(clause, name, text, limit, passed(all(s.class_mm <= most for s in stations))))
+        rows.append(row(clause, name, f"{used.name}: {used.class_mm:g} mm class", limit, passed(used.class_mm <= most)))
     return rows
 
 
@@ -103,10 +107,10 @@ def _station_counts(data: CampaignData, measured: ConformityInputs, use: str) ->
     if measured.ranging is not None and measured.ranging.panels:
         by_use = {"correction": "correction_readings", "reference": "reference_readings"}[use]
         return {p.panel: int(getattr(p, by_use)) for p in measured.ranging.panels}
-    names = {s.name for s in _serving(data, use)}
+    used = _used(data, use)
     seen: dict[str, set[tuple[str, int]]] = {}
     for r in data.ranging.readings:
-        if r.station in names and r.slope_distance_m is not None:
+        if used is not None and r.station == used.name and r.slope_distance_m is not None:
             seen.setdefault(r.panel, set()).add((r.station, r.observation))
     return {panel: len(found) for panel, found in seen.items()}
 
@@ -128,14 +132,62 @@ def _air(data: CampaignData) -> Row:
     if not readings:
         return missing("9.1.2 e", requirement, limit, "reading in ranging/total_station.csv")
     keys = ("temperature_c", "°C"), ("pressure_hpa", "hPa"), ("relative_humidity_percent", "%")
-    with_air = [r for r in readings if all(getattr(r, key) is not None for key, _ in keys)]
+    with_air = [r for r in readings if r.temperature_c is not None and r.pressure_hpa is not None]
     if not with_air:
         return missing("9.1.2 e", requirement, limit, "air in ranging/total_station.csv")
     text = f"{len(with_air)} of {len(readings)} readings"
     for key, unit in keys:
-        values = [getattr(r, key) for r in with_air]
-        text += f"; {min(values):.1f} to {max(values):.1f} {unit}"
-    return row("9.1.2 e", requirement, text, limit, passed(len(with_air) == len(readings)))
+        values = [value for r in with_air if (value := getattr(r, key)) is not None]
+        text += f"; {min(values):.1f} to {max(values):.1f} {unit}" if values else "; no humidity"
+    if len(with_air) < len(readings):
+        return row("9.1.2 e", requirement, text, limit, "fail")
+    site = data.manifest
+    notes = (
+        air_notes(data.ranging.line, data.ranging.readings, site.ellipsoid_height_m - site.height_anomaly_m)
+        if data.ranging.line
+        else []
+    )
+    return row("9.1.2 e", requirement, "; ".join([text, *notes]), limit, "warning" if notes else "pass")
+
+
+def _angles(measured: ConformityInputs) -> list[Row]:
+    """Panels against the places that the total station's angles give them; no row before the scans are searched."""
+    requirement = "panels stand where distances and angles put them"
+    limit = f"within {percent(BESIDE_SHARE, 0)} of a panel's size"
+    companions = measured.ranging.indicator.companions if measured.ranging else {}
+    beside, misread = companions.get("beside"), companions.get("misread")
+    if misread is not None:
+        return [row("9.1.2 c", requirement, str(misread), limit, "fail")]
+    if not isinstance(beside, dict):
+        return []
+    share = float(beside["share"])
+    text = f"{percent(share, 0)} beside at most ({beside['panel']})"
+    if share > BESIDE_SHARE:
+        text += ": mirrored angles, gon, or the eccentricity's sign or axes?"
+    return [row("9.1.2 c", requirement, text, limit, passed(share <= BESIDE_SHARE))]
+
+
+def _residuals(measured: ConformityInputs) -> Row:
+    requirement, limit = "residuals of (14) agree with their stated accuracy", f"p ≥ {LEAST_P:g}"
+    companions = measured.ranging.indicator.companions if measured.ranging else {}
+    p = companions.get("chi_square_p")
+    if not isinstance(p, int | float):
+        return missing("9.1.2 h", requirement, limit, "adjustment of (14)")
+    text = (
+        f"p {p:.2g}, chi-square {companions['chi_square']:.1f}, {companions['chi_square_freedom']} degrees of freedom"
+    )
+    text = str(companions.get("residuals", text))
+    return row("9.1.2 h", requirement, text, limit, passed(p >= LEAST_P))
+
+
+def _scans(measured: ConformityInputs) -> Row:
+    panels = measured.ranging.panels if measured.ranging else ()
+    counts = {p.panel: p.scans for p in panels}
+    found = _fewest("9.1.2 f", "observations by the LiDAR", counts, "panel found in the scans")
+    same = measured.ranging.indicator.companions.get("same_scans") if measured.ranging else None
+    if not isinstance(same, list) or not same:
+        return found
+    return replace(found, measured=f"{found.measured}; {len(same)} files repeat another's points", status="fail")
 
 
 def clause_9_1(data: CampaignData, measured: ConformityInputs) -> list[Row]:
@@ -143,7 +195,6 @@ def clause_9_1(data: CampaignData, measured: ConformityInputs) -> list[Row]:
     if not has_ranging(data):
         requirement, limit = "line of reference panels with a total station", "9.1.2 a to k"
         return [row("9.1.2", requirement, "no ranging/ in this campaign", limit, "not_applicable")]
-    panels = measured.ranging.panels if measured.ranging else ()
     correction, reference = station_rows(("9.1.2 c", "9.1.2 k"), data)
     what = "reading of such a station"
     return [
@@ -151,9 +202,11 @@ def clause_9_1(data: CampaignData, measured: ConformityInputs) -> list[Row]:
         _interval(measured),
         correction,
         _fewest("9.1.2 c", "readings of slope distances", _station_counts(data, measured, "correction"), what),
+        *_angles(measured),
         _constants(data),
         _air(data),
-        _fewest("9.1.2 f", "observations by the LiDAR", {p.panel: p.scans for p in panels}, "panel found in the scans"),
+        _scans(measured),
+        _residuals(measured),
         reference,
         _fewest("9.1.2 k", "readings of relative true values", _station_counts(data, measured, "reference"), what),
     ]

@@ -216,15 +216,17 @@ def test_hostile_json(tmp_path: Path) -> None:
 
 
 def test_scans_by_number(tmp_path: Path) -> None:
-    """Rationale: scans are ordered by their number, not by their names. Expected: 2, 10, 100; other names are no scans."""
+    """Rationale: scans are ordered by their number, not by their names. Expected: 2, 5 (in capitals, as
+    Windows programs write it), 10, 100; other names are no scans."""
     folder = CampaignFolder(tmp_path)
     assert scan_paths(folder) == {}
-    for name in ("scan_10.laz", "scan_02.las", "scan_100.laz", "scan_3.laz", "scan_04.txt", "SCAN_05.laz"):
+    for name in ("scan_10.laz", "scan_02.las", "scan_100.laz", "scan_3.laz", "scan_04.txt", "SCAN_05.LAZ"):
         path = folder.ranging / "scans" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(b"")
     assert [(n, p.name) for n, p in scan_paths(folder).items()] == [
         (2, "scan_02.las"),
+        (5, "SCAN_05.LAZ"),
         (10, "scan_10.laz"),
         (100, "scan_100.laz"),
     ]

@@ -4,6 +4,7 @@ import shutil
 import struct
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -260,6 +261,16 @@ def test_links_that_lead_out_are_named_and_not_opened(bench_campaign: CampaignFo
             "is no plain file",
         ] + ["is not read"] * name.endswith(".laz")
     assert list(scan_paths(bench_campaign)) == [2]
+
+
+def test_missing_air_is_named(bench_campaign: CampaignFolder) -> None:
+    """Rationale: (12) needs temperature and pressure, and without them no reading serves, also where the columns are absent.
+    Expected: a warning each; humidity is worth under 1 ppm: none where nobody recorded it."""
+    bare = [replace(r, temperature_c=None, pressure_hpa=None, relative_humidity_percent=None) for r in READINGS]
+    write_readings(readings_path(bench_campaign), bare)
+    write_manifest(bench_campaign.root, read_manifest(bench_campaign.root))
+    columns = [line.split("column ")[1].split(":")[0] for line in lines(bench_campaign) if "column" in line]
+    assert columns == ["temperature_c", "pressure_hpa"]
 
 
 def test_no_scan_and_previews(bench_campaign: CampaignFolder) -> None:

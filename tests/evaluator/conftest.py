@@ -688,6 +688,10 @@ def ranging_result() -> RangingResult:
             "multiplication_constant": 2.01e-4,
             "multiplication_constant_std": 5e-6,
             "scan_duration_s": 12.0,
+            "chi_square": 3.1,
+            "chi_square_freedom": 4,
+            "chi_square_p": 0.54,
+            "beside": {"panel": "L04", "share": 0.04},
         },
     )
     return RangingResult(

@@ -29,6 +29,7 @@ from evaluator.c9_1_lidar_ranging import (
 )
 from evaluator.model import CampaignData, EvaluationError, RangingData
 from evaluator.observe.ranging_panels import _rotation
+from evaluator.ranging_fit import adjusted_constants
 from evaluator.total_station import (
     StationPanel,
     StationResult,
@@ -37,6 +38,9 @@ from evaluator.total_station import (
     eccentricity_covariance_m2,
     group_refractive_index,
     meteorological_correction,
+    standard_pressure_hpa,
+    stations_of,
+    unused_stations,
 )
 
 MM = 1e-3
@@ -370,23 +374,138 @@ def test_a_reading_without_a_value_is_left_out_and_named(line: Line) -> None:
     assert (result.panels[0].correction_readings, result.panels[0].reference_readings) == (4, 4)
 
 
-def test_angles_of_another_kind_are_noticed(line: Line) -> None:
-    """Rationale: a total station's file in gon, or counted the other way, still gives plausible distances.
+def turned(readings: list[StationReading], horizontal: float, zenith: float) -> list[StationReading]:
+    return [
+        replace(
+            r,
+            horizontal_angle_deg=(r.horizontal_angle_deg or 0.0) * horizontal,
+            zenith_angle_deg=(r.zenith_angle_deg or 0.0) * zenith,
+        )
+        for r in readings
+    ]
 
-    Expected: a note that names angles (the panels stand beside their predicted places), or no result at all.
+
+def test_a_line_recorded_otherwise_is_refused_by_name(line: Line) -> None:
+    """Rationale: angles counted the other way, in gon, or an eccentricity from the LiDAR to the stations still give plausible
+    distances and wrong constants.
+
+    Expected: no value, and the reason names what is wrong; as written by hand it is measured (other tests).
     """
     plain = list(line.readings)
-    for change in ((1 / 0.9, 1 / 0.9), (-1.0, 1.0)):
-        line.readings = [
-            replace(
-                r,
-                horizontal_angle_deg=(r.horizontal_angle_deg or 0.0) * change[0],
-                zenith_angle_deg=(r.zenith_angle_deg or 0.0) * change[1],
-            )
-            for r in plain
-        ]
-        value = line.evaluate().indicator
-        assert value.value is None or "total station's angles" in str(value.companions["notes"])
+    line.readings = turned(plain, -1.0, 1.0)
+    mirrored = line.evaluate().indicator
+    assert mirrored.value is None and "counter-clockwise (mirrored)" in str(mirrored.reason)
+    assert mirrored.companions["misread"] == mirrored.reason
+    line.readings = turned(plain, 1 / 0.9, 1 / 0.9)
+    assert "in gon" in str(line.as_it_stands().indicator.reason)
+    line.readings = plain
+    opposite = line.line.model_copy(update={"eccentricity_m": (-0.4, 0.3, -0.1)})
+    assert "wrong sign" in str(line.as_it_stands(opposite).indicator.reason)
+
+
+def off(readings: list[StationReading], panel: str, by_m: float) -> list[StationReading]:
+    return [replace(r, slope_distance_m=(r.slope_distance_m or 0) + by_m * (r.panel == panel)) for r in readings]
+
+
+def test_one_panel_that_does_not_fit_is_left_out_and_named(line: Line) -> None:
+    """Rationale: both stations' readings of R02 are 5 cm long (a prism's constant, a panel that was moved).
+
+    Expected: the test of (14) fails and says so; R02 takes no part in K_2 and R_2, which stay within 3.5 of their standard
+    deviations; m_z still counts it: 50 mm / sqrt(6) over 85.3 m. Tolerance of m_z: noise of 2 mm in 50.
+    """
+    line.readings = off(line.readings, "R02", 0.05)
+    result = line.evaluate()
+    companions = result.indicator.companions
+    assert result.covariance is not None and result.indicator.value is not None
+    assert result.additive_constant_m == pytest.approx(-OFF_M, abs=3.5 * np.sqrt(result.covariance[0, 0]))
+    assert np.sqrt(result.covariance[0, 0]) < 1.5 * MM
+    assert isinstance(companions["chi_square_p"], float) and companions["chi_square_p"] < 1e-6
+    assert "R02 is left out of K2 and R2" in result.not_used["R02"]
+    assert "R02 is left out of K2 and R2" in str(companions["notes"])
+    assert result.indicator.value == pytest.approx(100 * 0.05 / np.sqrt(6.0) / 85.342, rel=0.05)
+
+
+def test_of_five_panels_none_is_left_out(bare_data: CampaignData, tmp_path: Path) -> None:
+    """Rationale: 9.1.2 a wants five. Expected: R02 is named, but stays; the covariance carries what it does not explain."""
+    five = Line(replace(bare_data, folder=CampaignFolder(tmp_path)), plates=PLATES[:5])
+    plain = five.evaluate()
+    five.readings = off(five.readings, "R02", 0.05)
+    result = five.as_it_stands()
+    assert "without R02 they agree" in str(result.indicator.companions["notes"]) and not result.not_used
+    assert result.covariance is not None and plain.covariance is not None
+    factor = float(result.indicator.companions["chi_square"]) / 3.0  # type: ignore[arg-type]
+    assert factor > 50
+    assert result.covariance[1, 1] / plain.covariance[1, 1] == pytest.approx(factor, rel=1e-2)
+
+
+def test_residuals_that_no_panel_explains_scale_the_covariance() -> None:
+    """Differences +-10 mm in turn, of 1 mm each: six residuals of about 10 mm. Expected: all panels stay; the covariance is that
+    of the stated accuracy times chi-square over four; nothing is done to residuals of 1 mm. Tolerance: rounding.
+    """
+    measured = np.array([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
+    names = [f"R{k}" for k in range(6)]
+    sign = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+    stated = np.eye(6) * MM**2
+    rough = adjusted_constants(names, measured, measured + 10 * MM * sign, stated)
+    assert rough.without is None and rough.factor == pytest.approx(rough.chi_square / 4.0) and rough.p < 1e-10
+    assert rough.chi_square == pytest.approx(
+        600.0 - 100.0 * 9.0 / 17.5, rel=1e-6
+    )  # slope: sum of x * sign = -3, of x^2 17.5
+    fine = adjusted_constants(names, measured, measured + MM * sign, stated)
+    assert (fine.factor, fine.remark) == (1.0, None)
+    assert rough.covariance == pytest.approx(rough.factor * fine.covariance)
+
+
+def test_copies_of_a_scan_are_no_observations(line: Line) -> None:
+    """Rationale: one scan saved five times has no scatter. Expected: one observation of each panel, named copies, and K_2's
+    standard deviation not below that of five scans.
+    """
+    five = line.evaluate()
+    line.scans = line.scans[:1] * 5
+    one = line.evaluate()
+    assert [p.scans for p in one.panels] == [1] * 6
+    same = one.indicator.companions["same_scans"]
+    assert isinstance(same, list) and len(same) == 4
+    assert same[0] == "scan_02.laz holds the same points as scan_01.laz: no independent observation, left out"
+    assert one.covariance is not None and five.covariance is not None
+    assert one.covariance[0, 0] >= five.covariance[0, 0]
+
+
+def test_missing_humidity_and_strange_pressure(line: Line) -> None:
+    """Expected: without humidity 50 % is taken and said (0.3 ppm of 160 m at 0 degrees: 0.02 mm); 760 mmHg entered as hPa is
+    noted.
+    """
+    plain = line.evaluate()
+    line.readings = [replace(r, relative_humidity_percent=None) for r in line.readings]
+    dry = line.as_it_stands()
+    assert dry.additive_constant_m == pytest.approx(plain.additive_constant_m, abs=0.05 * MM)
+    notes = dry.indicator.companions["notes"]
+    assert isinstance(notes, list) and notes[0].startswith("no humidity in 60 of 60 readings: 50 % is taken")
+    line.readings = [replace(r, pressure_hpa=760.0) for r in line.readings]
+    assert "is it in mmHg (1013 hPa)?" in str(line.as_it_stands().indicator.companions["notes"])
+    assert standard_pressure_hpa(0.0) == 1013.25
+    assert standard_pressure_hpa(3000.0) == pytest.approx(701.1, abs=0.1)  # ISO 2533
+
+
+def test_two_uses_take_two_stations(line: Line) -> None:
+    """Rationale: without `serves` a station serves both, and true values from the readings that gave K_2 prove nothing.
+
+    Expected: the best class for the true values, the other for K_2; a third is named as not used; a second one too poor for its
+    use leaves both to the first.
+    """
+    both = ("correction", "reference")
+    poor, good = (s.model_copy(update={"serves": both}) for s in STATIONS)
+    third = poor.model_copy(update={"name": "C", "class_mm": 20.0})
+    three = line.line.model_copy(update={"stations": (poor, third, good)})
+    line.readings += [replace(r, station="C") for r in line.readings if r.station == "A"]
+    readings = tuple(line.readings)
+    assert {use: s.name for use, s in stations_of(three, readings).items()} == {"correction": "A", "reference": "B"}
+    assert unused_stations(three, readings) == ["station C: not used; taken are A for correction, B for reference"]
+    two = line.line.model_copy(update={"stations": (third, good)})
+    assert {use: s.name for use, s in stations_of(two, readings).items()} == {"correction": "B", "reference": "B"}
+    companions = line.evaluate(three).indicator.companions
+    assert companions["stations"] == {"correction": "A", "reference": "B"}
+    assert "station C: not used" in str(companions["left_out"])
 
 
 def test_a_wrong_reading_is_left_out_and_named(line: Line) -> None:

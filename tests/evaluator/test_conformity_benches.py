@@ -30,7 +30,7 @@ def test_good_benches(bench_data: CampaignData, bench_inputs: ConformityInputs) 
     assert [r.clause for r in rows if r.status == "warning"] == ["8.3.2 c", "9.3.2 c"]
     found = [r.clause for r in rows]
     letters = [f"6.3.1 {c}" for c in "abcdef"] + [f"6.3.2 {c}" for c in "abcdefgh"]
-    letters += [f"8.2.2.{k} {c}" for k in (1, 2) for c in "cddf"] + [f"9.1.2 {c}" for c in "abccdefkk"]
+    letters += [f"8.2.2.{k} {c}" for k in (1, 2) for c in "cddf"] + [f"9.1.2 {c}" for c in "abcccdefhkk"]
     letters += ["9.2.2 b", "9.2.2 c", "9.2.2 d", "9.2.2 d", "9.2.2"]
     assert [c for c in found if c.startswith(("6.3", "8.2", "9.1", "9.2"))] == letters
     assert [c.split(" ")[0] for c in found] == sorted((c.split(" ")[0] for c in found), key=order_of(found))
@@ -95,6 +95,18 @@ def panels(change: Callable[[tuple], tuple]) -> Change:
     def changed(data: CampaignData, inputs: ConformityInputs) -> tuple[CampaignData, ConformityInputs]:
         assert inputs.ranging is not None
         return data, replace(inputs, ranging=replace(inputs.ranging, panels=change(inputs.ranging.panels)))
+
+    return changed
+
+
+def ranging(**change: object) -> Change:
+    """Companions of the ranging indicator changed."""
+
+    def changed(data: CampaignData, inputs: ConformityInputs) -> tuple[CampaignData, ConformityInputs]:
+        assert inputs.ranging is not None
+        value = inputs.ranging.indicator
+        value = replace(value, companions={**value.companions, **change})
+        return data, replace(inputs, ranging=replace(inputs.ranging, indicator=value))
 
     return changed
 
@@ -168,7 +180,17 @@ ONE_EMPTY_CELL[2, 0, 7] = 0
         (panels(lambda p: (replace(p[0], correction_readings=4), *p[1:])), "9.1.2 c", "readings", "fail"),
         (panels(lambda p: (replace(p[0], reference_readings=4), *p[1:])), "9.1.2 k", "readings", "fail"),
         (panels(lambda p: (*p[:5], replace(p[5], scans=4))), "9.1.2 f", "", "fail"),
+        (ranging(same_scans=["scan_02.laz holds the same points as scan_01.laz"]), "9.1.2 f", "", "fail"),
+        (ranging(chi_square_p=0.00101), "9.1.2 h", "", "pass"),
+        (ranging(chi_square_p=0.00099), "9.1.2 h", "", "fail"),
+        (ranging(chi_square_p=None), "9.1.2 h", "", "not_recorded"),
+        (ranging(beside={"panel": "L02", "share": 0.13}), "9.1.2 c", "panels stand", "fail"),
+        (ranging(misread="the angles are in gon"), "9.1.2 c", "panels stand", "fail"),
         (reading(3, pressure_hpa=None), "9.1.2 e", "", "fail"),
+        (reading(3, temperature_c=None), "9.1.2 e", "", "fail"),
+        (reading(3, relative_humidity_percent=None), "9.1.2 e", "", "warning"),  # 50 % is taken
+        (reading(3, pressure_hpa=756.0), "9.1.2 e", "", "warning"),  # 1008 hPa in mmHg
+        (station(0, serves=("correction", "reference")), "9.1.2 k", "total station", "pass"),  # B is taken for it
         (
             reading(3, slope_distance_m=None, pressure_hpa=None),
             "9.1.2 e",
@@ -233,7 +255,7 @@ def test_unreadable_parts(bench_data: CampaignData, bench_inputs: ConformityInpu
     rows = conformity_rows(data, ConformityInputs())
     inside = [r for r in rows if r.clause.startswith(("6.3", "8.2", "9.1", "9.2"))]
     assert {r.status for r in inside} == {"not_recorded"}
-    assert len(inside) == 6 + 8 + 2 + 9 + 5
+    assert len(inside) == 6 + 8 + 2 + 10 + 5
 
 
 def test_bench_after_the_flight(bench_data: CampaignData, bench_inputs: ConformityInputs) -> None:
