@@ -5,7 +5,9 @@ Whole pixels, no model. What the mounting rests on is the fit in `boards`; this 
 
 import numpy as np
 
-_COUNT_SHARE = (0.25, 0.75)  # of feature pixels in a window that may be a board's centre
+# Of feature pixels in a window that may be a board's centre: a half there. About the middle of a white square turned by 45
+# degrees it is 0.76, in a window as wide as the square.
+_COUNT_SHARE = (1.0 / 3.0, 2.0 / 3.0)
 
 
 def otsu_threshold(values: np.ndarray) -> float:
@@ -36,14 +38,16 @@ def half_window_centre(
     """S4 as written: the window whose left and right, upper and lower halves hold equal numbers of feature pixels.
 
     Feature pixels are brighter than `threshold`. About the centre of a board each window inside it is the same after half a
-    turn, so the halves are equal there whatever the board's azimuth and slant. With white where x y > 0 in board axes turned
-    by theta, a window of side 2 h that is off by (dx, dy) has, to first order, a difference left to right of
-    4 h (sin 2 theta dx + cos 2 theta dy) and above to below of 4 h (cos 2 theta dx - sin 2 theta dy), up to sign and for narrow
-    windows: the two never vanish together elsewhere nearby. Farther off they do: over ground, in one square, and, for windows
-    wider than a square, about the middle of a white square. Hence the rule, where the text has none:
+    turn, so the halves are equal there whatever the board's azimuth and slant. With the board turned by theta from 0 to 45
+    degrees, t = tan theta, a window of side 2 h that is off by a small (dx, dy) differs left to right by
+    2 h ((1 + t) dx - (1 - t) dy) and above to below by 2 h ((1 - t) dx + (1 + t) dy), up to signs (along the windows' edges
+    white is gained and lost in these lengths; other angles follow by reflection). The determinant 8 h^2 (1 + t^2) never
+    vanishes: near the centre there is no other solution, and a pixel's step changes a count by a side of the window. Farther
+    off both differences vanish too: over ground, in one square, and, for windows wider than a square, about the middle of a
+    white square. Hence the rule, where the text has none:
 
     * the window has an even side and lies inside the board; half the board's narrower side is a good one;
-    * a quarter to three quarters of its pixels are feature pixels;
+    * a third to two thirds of its pixels are feature pixels;
     * the least sum of both differences wins (noise may leave no window with none); of equals the one with a share nearest to a
       half; of those still equal the one nearest to the prediction.
 
