@@ -254,32 +254,43 @@ def image_errors(result: ChessboardResult) -> Figure | None:
 
 
 def ranging_errors(result: RangingResult) -> Figure | None:
-    """LiDAR minus relative true value before and after the correction by K2 and R2, over the distance."""
-    known = [p for p in result.panels if p.reference_m is not None or p.correction_m is not None]
-    if not known:
+    """LiDAR minus total station over the distance, bars of one standard deviation of both.
+
+    Above what the LiDAR reads minus the station that K2 and R2 come from, with their line; a panel that they leave out is hollow.
+    Below the corrected ranges minus the relative true values.
+    """
+    if not any(p.correction_m is not None or p.reference_m is not None for p in result.panels):
         return None
-    truth = np.array([p.reference_m if p.reference_m is not None else p.correction_m for p in known], dtype=float)
-    raw = 1000.0 * (np.array([p.lidar_m for p in known]) - truth)
-    error = 1000.0 * np.array([p.lidar_std_m / np.sqrt(max(p.scans, 1)) for p in known])
-    after = np.array([np.nan if p.corrected_m is None else p.corrected_m for p in known], dtype=float)
-    after = 1000.0 * (after - truth)
+    names, noise = (result.indicator.companions.get(k) for k in ("stations", "reading_std_m"))
     drawn = figure(5.3, 5.4)
     upper, lower = drawn.subplots(2, 1, sharex=True)
-    upper.errorbar(truth, raw, yerr=error, fmt="o", color="#d1603d", ms=4, capsize=3, lw=1.0)
+    for axes, use, value, colour, title in (
+        (upper, "correction", "lidar_m", "#d1603d", "Before the correction 改正前"),
+        (lower, "reference", "corrected_m", "#1b6ca8", "After the correction 改正后"),
+    ):
+        known = [p for p in result.panels if getattr(p, f"{use}_m") is not None and getattr(p, value) is not None]
+        station = names.get(use, "total station") if isinstance(names, dict) else "total station"
+        reading = float(noise.get(use, 0.0)) if isinstance(noise, dict) else 0.0
+        axes.set_title(f"{title}: LiDAR − {station}")
+        axes.set_ylabel("difference [mm]")
+        if not known:
+            continue
+        truth = np.array([getattr(p, f"{use}_m") for p in known], dtype=float)
+        difference = 1000.0 * (np.array([getattr(p, value) for p in known], dtype=float) - truth)
+        lidar = np.array([p.lidar_std_m / np.sqrt(max(p.scans, 1)) for p in known])
+        by_station = reading / np.sqrt([max(getattr(p, f"{use}_readings"), 1) for p in known])
+        error = 1000.0 * np.hypot(lidar, by_station)
+        axes.errorbar(truth, difference, yerr=error, fmt="o", color=colour, ms=4, capsize=3, lw=1.0)
+        out = np.array([p.panel in result.not_used for p in known])
+        axes.plot(truth[out], difference[out], "o", color=colour, mfc="white", ms=4, zorder=3)
+        for p, x, y in zip(known, truth, difference):
+            if axes is lower or p.panel in result.not_used:
+                axes.annotate(p.panel, (x, y), xytext=(5, 4), textcoords="offset points", fontsize=7, color=_GREY)
+    lower.axhline(0.0, color=_GREY, lw=0.8)
     if result.additive_constant_m is not None and result.multiplication_constant is not None:
-        span = np.array([0.0, 1.05 * truth.max()])
+        span = np.array([0.0, 1.05 * max(p.lidar_m for p in result.panels)])
         line = -1000.0 * (result.additive_constant_m + result.multiplication_constant * span)
         upper.plot(span, line, "--", color=_GREY, lw=1.0, label="−K₂ − R₂ L")
         upper.legend(loc="best")
-    upper.set_title("Before the correction 改正前")
-    lower.axhline(0.0, color=_GREY, lw=0.8)
-    if np.isfinite(after).any():
-        lower.errorbar(truth, after, yerr=error, fmt="o", color="#1b6ca8", ms=4, capsize=3, lw=1.0)
-    for p, x, y in zip(known, truth, after):
-        if np.isfinite(y):
-            lower.annotate(p.panel, (x, y), xytext=(5, 4), textcoords="offset points", fontsize=7, color=_GREY)
-    lower.set_title("After the correction 改正后")
-    for axes in (upper, lower):
-        axes.set_ylabel("difference [mm]")
     lower.set_xlabel("distance [m]")
     return drawn

@@ -286,6 +286,30 @@ def test_ranging_figure(ranging_result: RangingResult) -> None:
     assert np.abs(after).max() < 2.0
 
 
+def test_ranging_figure_takes_each_station_where_it_belongs(ranging_result: RangingResult) -> None:
+    """Rationale: K2 and R2 come from one station, m_z from the other, which may read 5 mm more; a line through the differences to
+    the wrong one misses its own points. Expected: above the differences to the first, below to the second, both named; bars of
+    LiDAR (1.5 mm of 5 scans) and station (2 and 1 mm of 5 readings) together: sqrt(1.5^2 + 2^2) / sqrt(5) = 1.118 mm and 0.806 mm.
+    Tolerance: drawing."""
+    panels = tuple(replace(p, reference_m=(p.reference_m or 0.0) + 0.005) for p in ranging_result.panels)
+    more = {
+        "stations": {"correction": "T1", "reference": "T2"},
+        "reading_std_m": {"correction": 0.002, "reference": 0.001},
+    }
+    value = replace(ranging_result.indicator, companions={**ranging_result.indicator.companions, **more})
+    figure = drawn(lambda: bench_plots.ranging_errors(replace(ranging_result, panels=panels, indicator=value)))
+    upper, lower = figure.axes
+    before, after = (np.asarray(a.containers[0].lines[0].get_ydata(), dtype=float) for a in (upper, lower))
+    assert before == pytest.approx([1000.0 * (p.lidar_m - (p.correction_m or 0.0)) for p in panels], abs=1e-6)
+    assert after == pytest.approx(
+        [1000.0 * ((p.corrected_m or 0.0) - (p.reference_m or 0.0)) for p in panels], abs=1e-6
+    )
+    assert upper.get_title(loc="left").endswith("LiDAR − T1") and lower.get_title(loc="left").endswith("LiDAR − T2")
+    for axes, half in ((upper, 1.118), (lower, 0.806)):
+        segments = axes.containers[0].lines[2][0].get_segments()
+        assert [0.5 * np.ptp(s[:, 1]) for s in segments] == pytest.approx([half] * 6, abs=1e-3)
+
+
 def test_ranging_without_reference_or_constants(ranging_result: RangingResult) -> None:
     """Rationale: fewer than five panels give distances but no K2, R2; one panel may have no true value. Expected: a figure with the
     panels that have one; none at all: no figure."""
