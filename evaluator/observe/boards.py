@@ -4,7 +4,7 @@ The fit knows the whole board: two blurred edges that cross in the centre, its o
 The count itself is `half_window`'s. Which board is where, and why one is left out, is `evaluator.board_observations`'s subject.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ import scipy.special
 from evaluator.observe.half_window import half_window_centre, otsu_threshold
 
 _LEAST_EDGE_PX = 8.0  # of the board's narrower side
+_MOST_EDGE_PX = 160.0  # wider boards are looked at through larger pixels
 _LEAST_CORRELATION = 0.6
 _LEAST_CONTRAST = 0.35  # of white to black over white
 _WORST_FIT = 0.06  # residuals over contrast
@@ -267,6 +268,8 @@ def find_board(
     narrow, edge = sides_px(view)
     if narrow < _LEAST_EDGE_PX:
         return f"board of {narrow:.1f} px, {_LEAST_EDGE_PX:.0f} px are needed"
+    if edge > _MOST_EDGE_PX:
+        return _coarser(grey, view, search_px, int(np.ceil(edge / _MOST_EDGE_PX)), clipped_at, black_level)
     size = np.array([grey.shape[1], grey.shape[0]])
     reach = int(np.ceil(search_px + np.abs(_outline_px(view)).max() + 3.0))
     middle = np.floor(view.predicted_px).astype(int)
@@ -299,17 +302,45 @@ def find_board(
             continue
         side = 2 * max(round(0.25 * narrow), 1)
         count = half_window_centre(window, place, 0.5 * narrow, side, fit.threshold)
-        fits.append(
-            BoardFit(
-                **{**fit.__dict__, "uv_px": moved, "count_px": None if count is None else count + low, "edge_px": edge}
-            )
-        )
+        fits.append(replace(fit, uv_px=moved, count_px=None if count is None else count + low, edge_px=edge))
     if not fits:
         return reason
     fits.sort(key=lambda f: f.rms)
     if len(fits) > 1 and fits[1].rms < 1.5 * fits[0].rms:
         return "two boards alike within the search window"
     return fits[0]
+
+
+def _coarser(
+    grey: np.ndarray, view: BoardView, search_px: float, factor: int, clipped_at: float, black_level: float
+) -> BoardFit | str:
+    """The same on means of factor x factor pixels: a wide board needs no more of them, and memory stays bounded."""
+    size = np.array([grey.shape[1], grey.shape[0]])
+    reach = search_px + np.abs(_outline_px(view)).max() + 5.0 * factor
+    low = np.clip(np.floor((view.predicted_px - reach) / factor), 0, None).astype(int) * factor
+    high = np.minimum(np.ceil((view.predicted_px + reach) / factor).astype(int), size // factor) * factor
+    if np.any(high <= low):
+        return "outside the image"
+    columns, rows = (high - low) // factor
+    blocks = grey[low[1] : high[1], low[0] : high[0]].reshape(rows, factor, columns, factor)
+    mean = blocks.mean(axis=(1, 3), dtype=np.float64)
+    mean = np.where(blocks.max(axis=(1, 3)) >= clipped_at, np.maximum(mean, clipped_at), mean)
+    shrink = np.diag([1.0 / factor, 1.0 / factor, 1.0])
+    coarse = replace(
+        view, predicted_px=(view.predicted_px - low) / factor, offset_from_board=shrink @ view.offset_from_board
+    )
+    fit = find_board(mean, coarse, search_px / factor, clipped_at=clipped_at, black_level=black_level)
+    if isinstance(fit, str):
+        return fit
+    return replace(
+        fit,
+        uv_px=low + factor * fit.uv_px,
+        covariance_px2=factor**2 * fit.covariance_px2,
+        count_px=None if fit.count_px is None else low + factor * fit.count_px,
+        edge_px=factor * fit.edge_px,
+        blur_px=factor * fit.blur_px,
+        pixels=factor**2 * fit.pixels,
+    )
 
 
 def _fit_at(
