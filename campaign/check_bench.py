@@ -123,10 +123,10 @@ def _scans(check: Collector, gps_week: int | None) -> None:
         check.add("warning", place, "no scan_NN.laz; what needs the LiDAR's observations is reported as not measured")
     numbers = {path: number for number, path in used.items()}
     for path in files:
+        if not check.folder.holds(path):
+            continue  # named by `plain_files`
         if path not in numbers:
             check.add("error", path, "is not read; expected scan_NN.las or scan_NN.laz, one file for each number")
-            continue
-        if not check.folder.holds(path):
             continue
         with check.catching(path):
             if StripReader(path, gps_week=gps_week).point_count == 0:
