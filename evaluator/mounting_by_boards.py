@@ -246,7 +246,7 @@ def solve_board_problem(problem: BoardProblem, views: Views, observations: list[
         shift, _ = place_shift(problem, views, uv, fit, rows, b)
         rejected.append(
             f"surveyed place of {problem.boards[b]}: {np.linalg.norm(shift):.3f} m off "
-            f"(east {shift[0]:+.3f}, north {shift[1]:+.3f}, up {shift[2]:+.3f} m) in {len(rows)} images"
+            f"(images minus survey: east {shift[0]:+.3f}, north {shift[1]:+.3f}, up {shift[2]:+.3f} m) in {len(rows)} images"
         )
     rejected += [f"board {observations[i].target} in {observations[i].image}" for i in single]
     at = remap(problem, views, fit.xi)
