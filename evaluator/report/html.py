@@ -147,7 +147,7 @@ def _bench_pictures(evaluation: Evaluation) -> list[Picture]:
     if ranging is not None and ranging.panels:
         caption = (
             "True = measured + K₂ + R₂ · measured, formula (13); LiDAR minus total station, from the LiDAR's centre. "
-            "Bars: standard error of the mean of the scans."
+            "Bars: standard deviation of the means of the scans and of the readings together."
         )
         out.append(_picture("Ranging line 测距误差", caption, lambda: bench_plots.ranging_errors(ranging)))
     return out
