@@ -280,15 +280,12 @@ def _boards_block(data: CampaignData, findings: _Findings) -> dict[str, object]:
     """The camera's mounting by the patent's boards; empty where the survey holds none."""
     if not any(t.kind == "board" for t in data.targets):
         return {}
+    not_in_images = {"not_in_images": dict(sorted(findings.board_reasons.items()))}
     try:
-        found = solve_by_boards(data, findings.boards)
+        found = solve_by_boards(data, findings.boards, findings.board_reasons)
     except EvaluationError as error:
-        return {
-            "status": "not_measured",
-            "reason": str(error),
-            "not_found": dict(sorted(findings.board_reasons.items())),
-        }
-    return {"status": "measured", **found.results_block(), "not_found": dict(sorted(findings.board_reasons.items()))}
+        return {"status": "not_measured", "reason": str(error), **not_in_images}
+    return {"status": "measured", **found.results_block(), **not_in_images}
 
 
 def _closure_block(geometry: GeometryResult | None) -> dict[str, object]:
