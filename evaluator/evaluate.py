@@ -92,6 +92,7 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
     benches = evaluate_benches(data, progress)
     certificate = data.camera.calibration if data.camera else None
     data, lens_source = flight_lens(data, benches.chessboard)
+    own_lens = data.camera is not None and data.camera.calibration is not certificate
     data = flight_ranges(data, benches.ranging)
     _outside(targets_outside_images(data), strict, findings)
     returns = _returns_near_targets(data, findings, progress)
@@ -155,7 +156,13 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
         sphere=benches.sphere,
         chessboard=benches.chessboard,
         ranging=benches.ranging,
-        deviations=deviations(solution, benches.chessboard, certificate, benches.ranging, benches.photon_transfer),
+        deviations=deviations(
+            solution,
+            benches.chessboard if own_lens else None,  # of another focus setting it says nothing of the certificate
+            certificate,
+            benches.ranging,
+            benches.photon_transfer,
+        ),
         survey_doubts=suspects(solution.rejected, [t.id for t in data.targets]) if solution else (),
     )
 
