@@ -28,6 +28,7 @@ from evaluator.observe.chessboard import (
     BoardCorners,
     NoBoard,
     find_corners,
+    goes_on,
     grey_picture,
     is_symmetric,
     oriented,
@@ -252,12 +253,15 @@ def _larger_board(data: CampaignData, board: BoardSheet, seen: _Seen) -> str:
     """What to add where a calibration failed because only a part of a larger board was looked for."""
     if len(seen.boards) < LEAST_IMAGES:
         return ""
-    name = seen.rows[0].image
-    size = _hint(data.folder.chessboard / name, board)
-    if size is not None and (size[0] < board.inner_columns or size[1] < board.inner_rows):
-        return ""  # a part of the stated board, which is found everywhere
     stated = f"{board.inner_columns} x {board.inner_rows} inner corners"
-    return f"; {name} seems to show {size[0]} x {size[1]}, board.json states {stated}" if size else ""
+    for row in seen.rows[:_HINT_PICTURES]:
+        try:
+            grey = grey_picture(read_picture(data.folder.chessboard / row.image))
+        except TestrangeError:
+            continue
+        if goes_on(grey, board.inner_columns, board.inner_rows):
+            return f"; the pattern in {row.image} goes on beyond the {stated} that board.json states"
+    return ""
 
 
 def _hint(path: Path, board: BoardSheet) -> tuple[int, int] | None:

@@ -114,6 +114,15 @@ def seen_size(grey: np.ndarray, columns: int, rows: int) -> tuple[int, int] | No
     return None
 
 
+def goes_on(grey: np.ndarray, columns: int, rows: int) -> bool:
+    """Whether a picture's board has more inner corners than stated, on its longer or its shorter side."""
+    small = _eight_bit(_reduced(grey, _ATTEMPTS[0][0]))
+    found, _, meta = cv2.findChessboardCornersSBWithMeta(small, (4, 3), cv2.CALIB_CB_LARGER)
+    if not found or np.ndim(meta) != 2:
+        return False
+    return any(grown > stated for grown, stated in zip(sorted(meta.shape), sorted((columns, rows)), strict=True))
+
+
 def _neighbour_steps(uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Steps to the next corner along the columns' and the rows' index, (rows, columns, 2) each."""
     return np.gradient(uv, axis=1), np.gradient(uv, axis=0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from evaluator.model import EvaluationError
-from evaluator.observe.chessboard import BoardCorners, find_corners, oriented, turned
+from evaluator.observe.chessboard import BoardCorners, find_corners, goes_on, oriented, turned
 from evaluator.observe.saddle_fit import fit_saddles
 
 COLUMNS, ROWS = 9, 6
@@ -188,6 +188,15 @@ def test_eight_bit_and_bands_give_the_same_corners() -> None:
     bands = np.stack([image * s for s in (1.0, 0.8, 0.6)], axis=-1)
     colour = find_corners(np.round(bands / 257.0).astype(np.uint8), COLUMNS, ROWS)
     assert np.abs(grey.uv_px - colour.uv_px).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "more"), [(COLUMNS, ROWS, False), (ROWS, COLUMNS, False), (6, 4, True), (12, 9, False)]
+)
+def test_a_part_of_a_larger_board_is_noticed(columns: int, rows: int, more: bool) -> None:
+    """Rationale: a board.json that states too small a board finds some part of it in every picture, another one each time.
+    Expected: the drawn board of 9 x 6 corners goes on beyond 6 x 4, not beyond its own size, whichever side is named first."""
+    assert goes_on(draw(view(46.0, (6.0, 9.0, 4.0))), columns, rows) == more
 
 
 def test_the_colours_tell_the_end() -> None:
