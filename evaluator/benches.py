@@ -3,12 +3,12 @@
 A part that is missing or fails leaves its reason with its indicator and never stops another. Formulas live in c8_2, c9_1, c9_2.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
 
+from campaign.progress import Report
 from campaign.sensors import Calibration as Certificate
 from campaign.sensors import CameraSheet
 from evaluator.bench_model import ChessboardResult, RangingResult, SphereResult
@@ -19,7 +19,6 @@ from evaluator.model import CampaignData, RangeCorrection
 from evaluator.photon_transfer import PhotonTransfer, photon_transfer
 from evaluator.results_model import IndicatorValue
 
-Report = Callable[[str, int, int], None]
 _WORST_PX = 1.0  # M_z beyond table 3: no such calibration serves another indicator
 _RANGE_SIGNIFICANT = 1e-3  # probability of K2 and R2 by chance, below which the flight's ranges are corrected
 _FOCUS_PX = 0.1  # of principal distance: what a focus setting may differ in without being told apart

@@ -13,7 +13,7 @@ from campaign.records import CameraObservation, Exposure
 from campaign.survey import SurveyedTarget
 from evaluator.camera_model import camera_points, project, project_exposure, row_time
 from evaluator.frames import WorldFrame, body_pose
-from evaluator.geometry import certified_lens
+from evaluator.geometry import certified_lens, mean_band
 from evaluator.model import CampaignData, EvaluationError, Mounting, SortieData
 from evaluator.observe.boards import BoardFit, BoardView, find_board, sides_px
 
@@ -127,13 +127,6 @@ def board_view(
     return BoardView(predicted_px=uv[0], offset_from_board=_homography(points, pixels - uv[0]), size_m=target.size_m)
 
 
-def _mean_band(image: np.ndarray) -> np.ndarray:
-    total = image[..., 0].astype(np.float32)
-    for band in range(1, image.shape[2]):
-        total += image[..., band]
-    return np.asarray(total / image.shape[2])
-
-
 def observe_boards(
     data: CampaignData,
     sortie: SortieData,
@@ -173,7 +166,7 @@ def observe_boards(
         raise EvaluationError("no sensors/camera.json")
     lens = certified_lens(camera)[0]
     world_frame = WorldFrame(data.manifest)
-    grey = image if image.ndim == 2 else _mean_band(image)
+    grey = image if image.ndim == 2 else mean_band(image)
     by_hand = {o.target: np.array([o.u_px, o.v_px]) for o in picked if o.image == exposure.image}
     size = np.array([camera.width_px, camera.height_px])
     found: list[BoardObservation] = []

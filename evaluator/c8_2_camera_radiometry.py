@@ -14,6 +14,7 @@ import numpy as np
 from scipy import stats
 
 from campaign.bench import SphereExposure
+from campaign.progress import Report, silent
 from evaluator.bench_model import SphereResult, SphereSeries
 from evaluator.load import in_folder
 from evaluator.model import CampaignData, EvaluationError
@@ -179,11 +180,7 @@ _REPEATABILITY = _Method(
 )
 
 
-def _silent(stage: str, done: int, total: int) -> None:
-    """A progress report that says nothing."""
-
-
-def evaluate_sphere(data: CampaignData, progress: Callable[[str, int, int], None] = _silent) -> SphereResult:
+def evaluate_sphere(data: CampaignData, progress: Report = silent) -> SphereResult:
     """Both indicators of 8.2 from the campaign's series at the integrating sphere.
 
     An indicator is the figure of its worst colour channel; every channel's stands in the companions. Nothing that a folder

@@ -4,11 +4,10 @@ The total station's side with (12) is in `evaluator.total_station` and offered h
 `evaluator.ranging_observations`.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import ArrayLike
 
+from campaign.progress import Report
 from campaign.ranging import RangingLine
 from evaluator.bench_model import PanelRange, RangingResult
 from evaluator.model import CampaignData, EvaluationError
@@ -40,7 +39,6 @@ __all__ = [
     "saturation_pressure_hpa",
 ]
 
-Report = Callable[[str, int, int], None]
 UNIT, FORMULA, CLAUSE = "%", "(11)", "9.1"
 
 

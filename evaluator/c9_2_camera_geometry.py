@@ -5,7 +5,6 @@ Corners come from `observe.chessboard`, lens and poses from `camera_calibration`
 """
 
 from collections import Counter
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +16,7 @@ from campaign.bench import BoardExposure, BoardSheet
 from campaign.config import Lens
 from campaign.errors import TestrangeError
 from campaign.pictures import PictureSize, picture_size, read_picture
+from campaign.progress import Report
 from evaluator.bench_model import BoardImage, ChessboardResult
 from evaluator.board_adjustment import Observations, board_points
 from evaluator.c9_2_companions import CELLS, companions_of, coverage_of, positions_of, setup_notes, uncertainty_of
@@ -43,8 +43,6 @@ _THREADS = 2
 _HINT_PICTURES = 3
 _FOCAL_SHARE = 0.01  # a standard deviation beyond this share of the focal length: not determined
 _FLAT_DEG = 3.0
-
-Report = Callable[[str, int, int], None]
 
 
 def mean_reprojection_error(projected_px: np.ndarray, observed_px: np.ndarray) -> float:

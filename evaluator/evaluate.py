@@ -6,7 +6,7 @@ searched. Then the indicators, then conformity. An indicator that cannot be had 
 others. Nothing under truth/ is opened.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from campaign.errors import TestrangeError
 from campaign.images import read_image, read_preview
+from campaign.progress import Report, silent
 from campaign.records import CameraObservation, Exposure, read_camera_observations
 from campaign.threads import one_blas_thread
 from evaluator.benches import evaluate_benches, flight_lens, flight_ranges
@@ -40,12 +41,7 @@ from evaluator.results_model import IndicatorValue, not_measured
 
 __all__ = ["evaluate_campaign", "read_campaign"]
 
-Report = Callable[[str, int, int], None]
 COLLECT_MARGIN_M = 1.4  # round a target's own radius: one degree of unknown mounting at 80 m
-
-
-def silent(stage: str, done: int, total: int) -> None:
-    """A progress report that says nothing."""
 
 
 @dataclass(kw_only=True)

@@ -152,7 +152,7 @@ def mark_view(
     )
 
 
-def _mean_band(image: np.ndarray) -> np.ndarray:
+def mean_band(image: np.ndarray) -> np.ndarray:
     """(h, w, bands) -> (h, w), band by band: five times as fast as a mean over the last axis."""
     total = image[..., 0].astype(np.float32)
     for band in range(1, image.shape[2]):
@@ -194,7 +194,7 @@ def observe_marks(
         raise EvaluationError("no sensors/camera.json")
     lens = certified_lens(camera)[0]
     world_frame = WorldFrame(data.manifest)
-    grey = image if image.ndim == 2 else _mean_band(image)
+    grey = image if image.ndim == 2 else mean_band(image)
     by_hand = {o.target: np.array([o.u_px, o.v_px]) for o in picked if o.image == exposure.image}
     marks: list[MarkObservation] = []
     reasons: dict[str, str] = {}

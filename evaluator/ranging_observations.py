@@ -3,12 +3,12 @@
 Formulas (9)-(15) and the indicator are in `evaluator.c9_1_lidar_ranging`.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from campaign.errors import TestrangeError
+from campaign.progress import Report
 from campaign.ranging import RangingLine
 from evaluator.bench_model import PanelRange
 from evaluator.load import in_folder
@@ -16,7 +16,6 @@ from evaluator.model import CampaignData, EvaluationError
 from evaluator.observe.ranging_panels import LEAST_STD_M, RangedPanel, WantedPanel, panels_in_scan
 from evaluator.total_station import CLASS_MM, StationResult, readings_of, stations_of
 
-Report = Callable[[str, int, int], None]
 MIN_OBSERVATIONS = 5  # 9.1.2 c, f
 FULL_OVER_FWHM = 1.699  # of a Gaussian beam: width at 1/e2 over width at half maximum
 BESIDE_SHARE = 0.12  # of a panel's size: centres found and predicted agree far better when the angles are right

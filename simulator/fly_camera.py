@@ -17,13 +17,14 @@ from campaign import images, records
 from campaign import truth as truth_files
 from campaign.config import Config
 from campaign.folder import CampaignFolder
+from campaign.progress import Report
 from simulator import camera as camera_maths
 from simulator import record_truth, rig, sensor
 from simulator.frames import rpy_from_rotation
 from simulator.motion import Motion, Strip
 from simulator.randomness import Stream, generator
 from simulator.render.radiance import render_frame
-from simulator.world import Range, Report, light_at
+from simulator.world import Range, light_at
 
 WAITING_FRAMES = 2  # rendered frames that may wait for noise and file: bounds the memory
 

@@ -7,9 +7,10 @@ import numpy as np
 from campaign import las
 from campaign import truth as truth_files
 from campaign.folder import CampaignFolder
+from campaign.progress import Report
 from simulator import record_truth, rig
 from simulator.lidar import simulate_strip
-from simulator.world import Range, Report
+from simulator.world import Range
 
 
 def fly_lidar(world: Range, place: CampaignFolder, progress: Report) -> None:

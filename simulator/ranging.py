@@ -5,7 +5,7 @@ takes the aircraft's place. The scene stands in `scenes.ranging_line`.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ import numpy as np
 from campaign.config import Config, TotalStationModel
 from campaign.errors import ConfigError
 from campaign.folder import CampaignFolder
+from campaign.progress import Report
 from campaign.ranging import (
     RangingLine,
     RangingPanel,
@@ -40,7 +41,6 @@ from simulator.times import BEIJING, utc_from_gps_time
 if TYPE_CHECKING:
     from simulator.render.scene import RenderScene
 
-Report = Callable[[str, int, int], None]
 MARGIN_DEG = 0.6  # of sector and turn round the panels' corners
 MIN_POINTS = 15  # on the farthest panel, in one scan
 PAUSE_S = 5.0  # between two scans

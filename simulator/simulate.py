@@ -11,6 +11,7 @@ from campaign import truth as truth_files
 from campaign.bench import RoomSheet, write_room
 from campaign.config import Config
 from campaign.folder import CampaignFolder, SortieFolder
+from campaign.progress import Report, silent
 from campaign.threads import one_blas_thread
 from scenes.model import Scene
 from simulator import paperwork, record_truth, rig
@@ -20,7 +21,7 @@ from simulator.frames import SiteFrame
 from simulator.motion import Motion
 from simulator.navigation import trajectory_of
 from simulator.times import BEIJING, gps_time_from_iso, gps_week, utc_from_gps_time
-from simulator.world import Range, Report, prepare_range, silent
+from simulator.world import Range, prepare_range
 
 __all__ = ["prepare_range", "simulate_campaign"]
 

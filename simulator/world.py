@@ -1,6 +1,5 @@
 """What one simulation works with: the scene, its flight, and the navigation's errors. Nothing is rendered or written here."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from campaign.config import Config
@@ -14,12 +13,6 @@ from simulator.motion import Motion
 from simulator.navigation import estimate_motion
 from simulator.render.scene import RenderScene, load_scene
 from simulator.times import utc_from_gps_time
-
-Report = Callable[[str, int, int], None]
-
-
-def silent(stage: str, done: int, total: int) -> None:
-    """A progress report that says nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@ Parts of a campaign that a fault cannot reach have the same bytes as without it,
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,9 +17,9 @@ from campaign.config import PARTS, Config, Model, Part
 from campaign.errors import ConfigError
 from campaign.load import load_config, read_toml, resolve_study
 from campaign.manifest import read_manifest, write_manifest
+from campaign.progress import Report
 from evaluator.diagnosis import family_limit
 
-Report = Callable[[str, int, int], None]
 # Which faults reach which part. What is not named here (survey, trajectory, sheets) is written anew for every case.
 _LENS = ("principal_distance_px", "principal_point_px", "k1", "camera_gain")
 _REACHES: dict[Part, tuple[str, ...]] = {

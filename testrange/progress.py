@@ -9,11 +9,13 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol, Self, TextIO
 
+from campaign.progress import Report
+
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
     from rich.progress import TaskID
 
-ProgressCallback = Callable[[str, int, int], None]
+ProgressCallback = Report
 
 _LINE_EVERY_S = 10.0  # plain lines of one stage
 

@@ -15,7 +15,6 @@ at each distance, as a person would, so that the brightest white of its pictures
 """
 
 from collections import deque
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from campaign.atomic import complete_file
 from campaign.bench import BoardExposure, BoardSheet, write_board, write_board_log
 from campaign.config import Camera, Config, Lens
 from campaign.folder import CampaignFolder
+from campaign.progress import Report
 from scenes.chessboard import LAMP_CAMERA_M, Board, board_of, board_scene, lamp_intensity
 from simulator import sensor
 from simulator.bench.placements import (
@@ -41,7 +41,6 @@ from simulator.render.board import BoardView, render_board
 from simulator.render.sampling import frame_words
 from simulator.render.scene import load_scene
 
-Report = Callable[[str, int, int], None]
 INTERVAL_S = 20.0  # between pictures
 WALL_BEHIND_M = 1.5  # the wall stands this far behind the farthest position
 FLATNESS_M = 0.0  # the simulated board is a plane

@@ -5,7 +5,6 @@ lens is not focused on the wall, which is so smooth that this cannot be seen. Ti
 camera is switched on too. The stability series comes first, and one of its intervals later, the lamp still on, repeatability.
 """
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from campaign.bench import SphereExposure, write_sphere_log
 from campaign.config import Camera, Config, Sphere
 from campaign.errors import ConfigError
 from campaign.folder import CampaignFolder
+from campaign.progress import Report
 from campaign.threads import one_blas_thread
 from scenes.sphere import build_sphere, lamp_flux_per_nm
 from simulator import sensor
@@ -25,7 +25,6 @@ from simulator.camera import undistort
 from simulator.randomness import Stream, generator
 from simulator.render.sphere import radiance_per_watt, wall_points
 
-Report = Callable[[str, int, int], None]
 STABILITY, REPEATABILITY = 0, 1  # keys of random streams
 NODES = (17, 13)  # across and down, of the grid over the window on which the light is solved
 MIN_WINDOW_PX = 3
