@@ -17,7 +17,7 @@ from evaluator.c10_1_grading import GRADE_ZH, INDICATORS
 from evaluator.model import CampaignData
 from evaluator.report.plots import draw_reflectance, draw_waveform
 from evaluator.report.style import GRADE_COLOURS, INK, figure, style
-from evaluator.results import Evaluation, Residual
+from evaluator.results import Evaluation, Residual, shown_decimals
 
 _REGION = "#ffd54a"
 _PANEL = "#5ad1ff"
@@ -154,17 +154,17 @@ def _grades(axes: Axes, evaluation: Evaluation) -> None:
         row, found, mark = INDICATORS[i], evaluation.indicator(i), evaluation.grade(i)
         y = 1.0 - (k + 0.6) / max(len(measured), 1)
         unit = "px" if row.unit == "pixel" else "%"
-        axes.text(0.0, y, row.name_zh, fontsize=11, va="bottom", color=INK)
-        axes.text(0.0, y - 0.015, f"{row.symbol} ({found.clause})", fontsize=8, va="top", color="#6b7280")
-        axes.text(0.70, y, f"{found.value:.2f} {unit}", fontsize=11, va="center", ha="right", color=INK)
+        value = f"{found.value:.{shown_decimals(found.value, row.unit)}f} {unit}"
+        axes.text(0.0, y, f"{row.name_zh} {row.symbol}", fontsize=9, va="center", color=INK)
+        axes.text(0.86, y, value, fontsize=9, va="center", ha="right", color=INK)
         axes.text(
-            0.76,
+            0.91,
             y,
             GRADE_ZH[mark],
-            fontsize=11,
+            fontsize=9,
             va="center",
             color="white",
-            bbox={"boxstyle": "round,pad=0.35", "fc": GRADE_COLOURS[mark], "ec": "none"},
+            bbox={"boxstyle": "round,pad=0.25", "fc": GRADE_COLOURS[mark], "ec": "none"},
         )
 
 
