@@ -249,6 +249,36 @@ def panel_table(values: PanelReflectances) -> list[dict[str, object]]:
     ]
 
 
+def surface_table(
+    observations: Sequence[LidarPanelObservation], reference_percent: dict[str, float]
+) -> list[dict[str, object]]:
+    """The surface f(A, L) of each design height as `lidar_reflectances` fits it, with the panels' values that it was fitted to."""
+    tables: list[dict[str, object]] = []
+    for height in sorted({o.design_height_m for o in observations}):
+        mine = [o for o in observations if o.design_height_m == height]
+        amplitude, range_m = (
+            [float(v) for v in column] for column in zip(*((o.amplitude_dn, o.range_m) for o in mine))
+        )
+        surface = fit_reflectance_surface(amplitude, range_m, [reference_percent[o.panel] for o in mine])
+        tables.append(
+            {
+                "design_height_m": height,
+                "coefficients": [float(v) for v in surface.coefficients],  # of 1, a, l, a^2, a l, l^2
+                "amplitude_centre": surface.amplitude_centre,  # a = (A - centre) / scale
+                "amplitude_scale": surface.amplitude_scale,
+                "range_centre_m": surface.range_centre_m,  # l = (L - centre) / scale
+                "range_scale_m": surface.range_scale_m,
+                "panel": [o.panel for o in mine],
+                "sortie": [o.sortie for o in mine],
+                "strip": [o.strip for o in mine],
+                "amplitude_dn": amplitude,
+                "range_m": range_m,
+                "reference_percent": [float(reference_percent[o.panel]) for o in mine],
+            }
+        )
+    return tables
+
+
 def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
@@ -293,6 +323,7 @@ def evaluate_lidar_reflectance(
         "observations": len(observations),
         "returns_used": int(sum(o.used for o in observations)),
         "panels": panel_table(plain),
+        "surfaces": surface_table(observations, reference),
     }
     reason = panel_shortfall(plain.panels, targets)
     if reason is None and not all(o.from_waveform for o in observations):

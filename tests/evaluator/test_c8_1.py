@@ -122,6 +122,25 @@ def test_indicator_on_the_radar_equation(campaign_data: CampaignData) -> None:
     assert (again.value, again.low_95) == pytest.approx((value.value, value.low_95), rel=1e-9)
 
 
+def test_surfaces_are_the_solution_path(campaign_data: CampaignData) -> None:
+    """Rationale: handbook B.1 and the report draw the surface from results.json alone. Expected: the stated coefficients at the
+    stated A and L, averaged over a panel's strips and heights, give R_i. Tolerance: rounding."""
+    value, panels = evaluate_lidar_reflectance(
+        observations_by_radar_equation(campaign_data), campaign_data.targets, campaign_data.spectra, campaign_data.lidar
+    )
+    assert panels is not None
+    tables = value.companions["surfaces"]
+    assert isinstance(tables, list) and len(tables) == 2
+    single: dict[str, list[float]] = {}
+    for t in tables:
+        a = (np.array(t["amplitude_dn"]) - t["amplitude_centre"]) / t["amplitude_scale"]
+        l = (np.array(t["range_m"]) - t["range_centre_m"]) / t["range_scale_m"]
+        found = np.stack([a**0, a, l, a * a, a * l, l * l], axis=1) @ t["coefficients"]
+        for panel, percent in zip(t["panel"], found):
+            single.setdefault(panel, []).append(percent)
+    assert [np.mean(single[p]) for p in panels.panels] == pytest.approx(panels.measured_percent.tolist(), abs=1e-9)
+
+
 def test_held_out_panel_shows_its_own_error(campaign_data: CampaignData) -> None:
     """Rationale: a panel whose spectrum is wrong drags its own surface. Expected: an error of 20 % of reflectance put on one
     40 % panel is seen in full in the held-out value and hardly less in-sample (one panel of 20). Tolerance: 1.5 %, the
