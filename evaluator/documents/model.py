@@ -72,6 +72,7 @@ class Table:
     fields: bool = False
     small: bool = False  # long lists: pixel coordinates, point numbers
     merge: bool = False  # equal neighbours in the first columns become one cell (table C.3)
+    merge_like: Mapping[int, int] = field(default_factory=dict)  # with merge: column -> the column whose joins it takes
 
 
 @dataclass(frozen=True, kw_only=True)
