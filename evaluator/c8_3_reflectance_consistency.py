@@ -202,6 +202,34 @@ def camera_reflectances(
     return panel_means(panel, line.gain[image] * dn + line.offset_percent, outside, reference_percent)
 
 
+def line_table(
+    observations: Sequence[ImagePanelObservation], reference_percent: dict[str, float], band: int
+) -> dict[str, object]:
+    """The empirical line as `camera_reflectances` fits it: gain of each image, the offset, DN and R of every panel in every
+    image."""
+    used = usable_images(observations, band)
+    keys = sorted({(o.sortie, o.image) for o in used})
+    image = np.array([keys.index((o.sortie, o.image)) for o in used])
+    dn = np.array([o.mean_dn[band] for o in used])
+    line = empirical_line(dn, np.array([reference_percent[o.panel] for o in used]), image)
+    values: list[dict[str, object]] = [
+        {
+            "panel": o.panel,
+            "sortie": o.sortie,
+            "image": o.image,
+            "pixels": o.pixels,
+            "dn": float(d),
+            "reflectance_percent": float(line.gain[i] * d + line.offset_percent),
+        }
+        for o, i, d in zip(used, image, dn, strict=True)
+    ]
+    gains = [
+        {"sortie": sortie, "image": name, "gain_percent_per_dn": float(g)}
+        for (sortie, name), g in zip(keys, line.gain, strict=True)
+    ]
+    return {"offset_percent": line.offset_percent, "gains": gains, "values": values}
+
+
 def evaluate_reflectance_consistency(
     lidar: PanelReflectances | None,
     observations: Sequence[ImagePanelObservation],
@@ -257,6 +285,8 @@ def evaluate_reflectance_consistency(
         "uneven_panels": sorted({o.panel for o in observations if o.uneven}),
         "panels": panel_table(camera_values),
     }
+    reference = {p: band_reflectance(spectra, p, camera.bands[chosen]) for p in {o.panel for o in observations}}
+    line = line_table(observations, reference, chosen)
     held_out_complete = bool(np.isfinite(h1).all() and np.isfinite(h2).all())
     reason = panel_shortfall(panels, targets)
     draws = bootstrap_panels(len(panels))
@@ -283,6 +313,8 @@ def evaluate_reflectance_consistency(
         ),
     ):
         own = {**companions, "leave_one_panel_out": held}
+        if formula == "(7)":  # once for both
+            own["empirical_line"] = line
         if reason is not None:
             results.append(not_measured(unit, formula, "8.3", reason, value_on_what_is_there=value, **own))
             continue

@@ -27,6 +27,7 @@ class TargetReturns:
     strip: int
     record: np.ndarray  # (n,) int64 number of the row in the strip's LAS file
     returns: Returns
+    picked_by: str = "evaluator"  # "person": exactly the records that the campaign's observations_lidar.csv names
 
 
 def mounting_from_sheet(sheet: MountingSheet) -> Mounting:
@@ -99,7 +100,7 @@ def _near_any(xy_m: np.ndarray, centres_xy_m: np.ndarray, radius_m: float) -> np
 def collect_target_returns(
     data: CampaignData, centres_map_m: dict[str, np.ndarray], radius_m: float, *, points_per_chunk: int = 1_000_000
 ) -> dict[tuple[int, int, str], TargetReturns]:
-    """Reads every strip once and keeps the returns near targets.
+    """Reads every strip once and keeps the returns near targets; of a target whose points a person picked in a strip, those.
 
     Parameters
     ----------
@@ -127,10 +128,16 @@ def collect_target_returns(
                 near = _near_any(chunk.xyz_m[:, :2], centres, radius_m)
                 xy = chunk.xyz_m[near, :2]
                 for i, target in enumerate(ids):
-                    rows = near[np.sum((xy - centres[i]) ** 2, axis=1) <= radius_m**2]
+                    picked = sortie.picked_points.get((strip, target))
+                    if picked is None:
+                        rows = near[np.sum((xy - centres[i]) ** 2, axis=1) <= radius_m**2]
+                    else:
+                        last = first + len(chunk.xyz_m)
+                        rows = picked[(picked >= first) & (picked < last)] - first
                     if rows.size:
                         key = (sortie.folder.number, strip, target)
                         found.setdefault(key, []).append((first + rows, select_returns(chunk, rows)))
+    by_hand = {(s.folder.number, *key) for s in data.sorties for key in s.picked_points}
     return {
         key: TargetReturns(
             sortie=key[0],
@@ -138,6 +145,7 @@ def collect_target_returns(
             target=key[2],
             record=np.concatenate([r for r, _ in parts]).astype(np.int64),
             returns=concatenate_returns([r for _, r in parts]),
+            picked_by="person" if key in by_hand else "evaluator",
         )
         for key, parts in found.items()
     }

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from campaign.bench import read_board, read_board_log, read_room, read_sphere_log
 from campaign.errors import CampaignError, TestrangeError
 from campaign.folder import CampaignFolder, SortieFolder
@@ -14,6 +16,7 @@ from campaign.sensors import read_camera, read_lidar, read_rig
 from campaign.survey import far_targets, read_spectra, read_targets
 from campaign.trajectory import Trajectory, misplaced, read_trajectory
 from evaluator.model import BenchData, CampaignData, RangingData, SortieData
+from evaluator.observe.picks import read_picked_points
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -56,13 +59,21 @@ def load_campaign(root: Path) -> CampaignData:
             raise CampaignError(wrong, where=str(place.trajectory_sbet))
         return found
 
+    def picked_points(place: SortieFolder, strips: tuple[int, ...]) -> dict[tuple[int, str], np.ndarray]:
+        ids = [t.id for t in targets if t.id not in beyond]
+        found, wrong = part(place.observations_lidar, lambda: read_picked_points(place, strips, ids)) or ({}, [])
+        problems.extend(in_folder(error, root) for error in wrong)
+        return found
+
     def sortie(place: SortieFolder) -> SortieData:
+        strips = _strips(place)
         return SortieData(
             folder=place,
             trajectory=part(place.trajectory_sbet, lambda: trajectory(place)),
             exposures=tuple(part(place.exposures, lambda: read_exposures(place.exposures)) or ()),
             environment=tuple(part(place.environment, lambda: read_environment(place.environment)) or ()),
-            strips=_strips(place),
+            strips=strips,
+            picked_points=picked_points(place, strips),
         )
 
     targets = part(folder.targets, lambda: read_targets(folder.targets)) or []

@@ -1,5 +1,6 @@
 """What passes between the rooms of the evaluator: the campaign as read, observations, the mounting solution."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -27,6 +28,8 @@ class SortieData:
     exposures: tuple[Exposure, ...]
     environment: tuple[EnvironmentRow, ...]
     strips: tuple[int, ...]  # numbers of the LiDAR strips on disk
+    # (strip, target) -> record numbers, rising, that a person gave to the target (observations_lidar.csv)
+    picked_points: Mapping[tuple[int, str], np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +117,8 @@ class VertexObservation:
     faces: int  # planes used
     points: int  # returns used
     rms_m: float  # of the residuals along the ray
+    # (points,) which of the rows given to `find_vertex` were used
+    index: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64), repr=False, compare=False)
 
 
 @dataclass(frozen=True, kw_only=True)

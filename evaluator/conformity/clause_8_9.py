@@ -10,6 +10,7 @@ from evaluator.conformity.clause_9_1 import clause_9_1
 from evaluator.conformity.clause_9_2 import clause_9_2
 from evaluator.conformity.model import ConformityInputs, Row, missing, passed, percent, row
 from evaluator.model import CampaignData
+from evaluator.observe.picks import points_by_person
 
 _LEVELS_PERCENT = (5.0, 20.0, 40.0, 60.0, 100.0)
 _PANELS_A_LEVEL = 4
@@ -41,12 +42,17 @@ def _panels(data: CampaignData, measured: ConformityInputs) -> list[Row]:
     return rows
 
 
-def _picked(clause: str, what: str, by: str | None) -> Row:
+def _picked(clause: str, what: str, by: str | None, points_by_person: bool) -> Row:
+    """`by`: who found them in the images; the points of the LiDAR are told apart."""
     requirement = f"{what} picked by a person"
     if by is None:
         return missing(clause, requirement, "visual", "statement of who found the targets")
     if by == "person":
-        return row(clause, requirement, "from the campaign's observation records", "visual", "pass")
+        points = "pixels and LiDAR points" if points_by_person else "pixels"
+        return row(clause, requirement, f"{points} from the campaign's observation records", "visual", "pass")
+    if points_by_person:
+        text = f"LiDAR points from the campaign's observation records, pixels found by the {by}"
+        return row(clause, requirement, text, "visual", "warning")
     return row(clause, requirement, f"found by the {by}, residuals shown in the report", "visual", "warning")
 
 
@@ -85,9 +91,9 @@ def clause_8_9(data: CampaignData, measured: ConformityInputs) -> list[Row]:
         lidar,
         *clause_8_2(data, measured),
         both,
-        _picked("8.3.2 c", "reference panels", measured.panels_picked_by),
+        _picked("8.3.2 c", "reference panels", measured.panels_picked_by, points_by_person(data, "panel")),
         *clause_9_1(data, measured),
         *clause_9_2(data, measured),
         *_frustums(data, measured),
-        _picked("9.3.2 c", "geometric targets", measured.frustums_picked_by),
+        _picked("9.3.2 c", "geometric targets", measured.frustums_picked_by, points_by_person(data, "frustum")),
     ]

@@ -308,4 +308,5 @@ def find_vertex(
         faces=seen,
         points=int(keep.sum()),
         rms_m=rms,
+        index=use[keep],
     )

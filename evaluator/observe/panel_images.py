@@ -5,11 +5,12 @@ One image at a time, so that memory does not grow with the campaign. Panels in t
 
 from collections.abc import Mapping, Sequence
 
+import cv2
 import numpy as np
 from scipy.ndimage import uniform_filter
 
 from campaign.config import Lens
-from campaign.records import Exposure
+from campaign.records import CameraObservation, Exposure
 from campaign.sensors import CameraSheet
 from campaign.survey import SurveyedTarget
 from campaign.trajectory import Trajectory
@@ -68,7 +69,10 @@ def inside_image(region_px: np.ndarray, camera: CameraSheet, margin_px: float = 
 
 
 def region_pixels(region_px: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels whose centre lies in a convex quadrilateral: rows (n,), columns (n,), place in it from 0 to 1 (n, 2)."""
+    """Pixels whose centre lies in a convex polygon: rows (n,), columns (n,), place in it from 0 to 1 (n, 2).
+
+    The place is along two sides of a quadrilateral, within the upright box of any other polygon.
+    """
     low = np.floor(region_px.min(axis=0)).astype(np.int64)
     high = np.ceil(region_px.max(axis=0)).astype(np.int64)
     grid = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
@@ -78,11 +82,14 @@ def region_pixels(region_px: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
     to_pixel = centre[:, None, :] - region_px[None, :, :]
     cross = side[None, :, 0] * to_pixel[..., 1] - side[None, :, 1] * to_pixel[..., 0]
     keep = np.all(cross >= 0.0, axis=1) | np.all(cross <= 0.0, axis=1)
-    basis = np.stack([region_px[1] - region_px[0], region_px[3] - region_px[0]], axis=-1)
+    corner, basis = region_px.min(axis=0), np.diag(np.ptp(region_px, axis=0))
+    if len(region_px) == 4:
+        corner = region_px[0]
+        basis = np.stack([region_px[1] - corner, region_px[3] - corner], axis=-1)
     if abs(np.linalg.det(basis)) < 1e-9:
         keep[:] = False
         return rows[keep], columns[keep], np.empty((0, 2))
-    place = np.linalg.solve(basis, (centre[keep] - region_px[0]).T).T
+    place = np.linalg.solve(basis, (centre[keep] - corner).T).T
     return rows[keep], columns[keep], place
 
 
@@ -97,6 +104,7 @@ def panel_image_values(
     world_frame: WorldFrame,
     *,
     search: bool = False,
+    picked: Sequence[CameraObservation] = (),
 ) -> list[ImagePanelObservation]:
     """Mean DN above the black level of every panel that lies wholly in one image.
 
@@ -110,6 +118,9 @@ def panel_image_values(
         The solved mounting, or the nominal one together with `search`.
     search : bool
         Move the outlines by contrast first: one shift common to all panels, then a little for each.
+    picked : sequence of CameraObservation
+        Pixels that a person gave, for the panels they name: of three or more the convex hull is read as it is, one or two
+        say where the panel's centre is.
 
     Raises
     ------
@@ -137,13 +148,25 @@ def panel_image_values(
     if search:
         outlines = shift_by_contrast(dn, outlines, camera)
     full_scale = float(2**camera.bit_depth - 1)
+    by_hand = _picked_pixels(picked, exposure, [p.id for p in panels if p.kind == "panel"])
     found = []
-    for name in sorted(outlines):
-        outline = outlines[name]
-        if not inside_image(outline, camera):
+    for name in sorted(outlines.keys() | by_hand.keys()):
+        pixels_of_person = by_hand.get(name)
+        if pixels_of_person is not None and len(pixels_of_person) >= 3:
+            region = pixels_of_person[cv2.convexHull(pixels_of_person.astype(np.float32), returnPoints=False).ravel()]
+            if not inside_image(region, camera):
+                continue
+        elif name in outlines:
+            outline = outlines[name]
+            middle = outline.mean(axis=0)
+            if pixels_of_person is not None:
+                outline = outline + (pixels_of_person.mean(axis=0) - middle)
+                middle = outline.mean(axis=0)
+            if not inside_image(outline, camera):
+                continue
+            region = middle + (1.0 - 2.0 * shrinks[name]) * (outline - middle)
+        else:
             continue
-        middle = outline.mean(axis=0)
-        region = middle + (1.0 - 2.0 * shrinks[name]) * (outline - middle)
         rows, columns, place = region_pixels(region)
         if rows.size < _MIN_PIXELS:
             continue
@@ -161,9 +184,21 @@ def panel_image_values(
                 pixels=int(rows.size),
                 uneven=_uneven(values - camera.black_level_dn, place),
                 region_px=region,
+                picked_by="evaluator" if pixels_of_person is None else "person",
             )
         )
     return found
+
+
+def _picked_pixels(
+    picked: Sequence[CameraObservation], exposure: Exposure, panels: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """Panel -> (n, 2) pixels that a person gave in one image."""
+    gathered: dict[str, list[tuple[float, float]]] = {}
+    for o in picked:
+        if o.image == exposure.image and o.target in panels:
+            gathered.setdefault(o.target, []).append((o.u_px, o.v_px))
+    return {name: np.array(pixels, dtype=np.float64) for name, pixels in gathered.items()}
 
 
 def _uneven(values: np.ndarray, place: np.ndarray) -> bool:

@@ -5,7 +5,7 @@ height and amplitude against what surrounds it. Panels in images: `panel_images.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +42,9 @@ class LidarPanelObservation:
     echo_fwhm_ns: float  # NaN without waveforms
     from_waveform: bool  # else the file's own amplitude
     offset_m: tuple[float, float, float]  # of the returns against the survey: searched shift east, north; height found
+    # (used,) numbers in the strip's LAS file of the returns behind the means
+    record: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64), repr=False, compare=False)
+    picked_by: str = "evaluator"  # or "person": the records are those of the campaign's observations_lidar.csv
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +60,8 @@ class ImagePanelObservation:
     clipped_share: tuple[float, ...]
     pixels: int
     uneven: bool  # means of its nine parts differ by over a tenth: partly shaded, or not the panel alone
-    region_px: np.ndarray  # (4, 2) the outline that was used
+    region_px: np.ndarray  # (k, 2) the outline that was used; k = 4, or what a person's pixels span
+    picked_by: str = "evaluator"  # or "person"
 
 
 def panel_axes_world(target: SurveyedTarget, world_frame: WorldFrame) -> tuple[np.ndarray, np.ndarray]:
@@ -219,7 +223,7 @@ def _returns_on_panel(
     centre, axes = panel_axes_world(panel, frame)
     local = (world_m - centre) @ axes.T
     shift = np.zeros(2)
-    if searched:
+    if searched and rows.picked_by != "person":
         result = find_panel_shift(local, rows.returns.amplitude, panel.size_m)
         if result is None:
             return None
@@ -227,6 +231,16 @@ def _returns_on_panel(
     ray = origin_m - world_m
     range_m = np.linalg.norm(ray, axis=1)
     cosine = (ray @ axes[2]) / np.maximum(range_m, 1e-9)
+    if rows.picked_by == "person":  # these points and no others (8.3.2 c)
+        return _OnPanel(
+            key=key,
+            index=np.arange(len(world_m)),
+            points=len(world_m),
+            range_m=range_m,
+            cos_incidence=cosine,
+            height_above_m=float(np.mean(ray @ axes[2])),
+            offset_m=(0.0, 0.0, float(np.median(local[:, 2]))),
+        )
     offset = np.abs(local[:, :2] - shift)
     half = 0.5 * panel.size_m
     whole = np.all(offset <= half, axis=1)
@@ -292,7 +306,8 @@ def _strip_observations(
         # A few returns that grazed something else must not move the mean.
         middle = np.median(values)
         spread = 1.4826 * np.median(np.abs(values - middle))
-        use[use] = np.abs(values - middle) <= max(5.0 * spread, 1e-6 * abs(middle))
+        if returns[o.key].picked_by != "person":
+            use[use] = np.abs(values - middle) <= max(5.0 * spread, 1e-6 * abs(middle))
         values = amplitude[part][use]
         echo_width = width[part][use]
         observations.append(
@@ -310,6 +325,8 @@ def _strip_observations(
                 echo_fwhm_ns=float(np.nanmean(echo_width)) if np.isfinite(echo_width).any() else float("nan"),
                 from_waveform=from_waveform,
                 offset_m=o.offset_m,
+                record=returns[o.key].record[o.index[use]],
+                picked_by=returns[o.key].picked_by,
             )
         )
     return observations
