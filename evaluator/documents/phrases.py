@@ -27,6 +27,21 @@ def day_in_words(date: str, language: Language) -> str:
     return say(language, f"{day.year}年{day.month}月{day.day}日", f"{day.day} {day.strftime('%B')} {day.year}")
 
 
+def time_in_words(time: str, language: Language) -> str:
+    """An ISO time as Beijing time, to the minute; one that cannot be read stands as it is."""
+    try:
+        at = datetime.datetime.fromisoformat(time)
+    except ValueError:
+        return time
+    if at.tzinfo is not None:
+        at = at.astimezone(datetime.timezone(datetime.timedelta(hours=8)))
+    return say(
+        language,
+        f"{at.year}年{at.month}月{at.day}日 {at:%H:%M}（北京时间）",
+        f"{at.day} {at.strftime('%B')} {at.year}, {at:%H:%M} Beijing time",
+    )
+
+
 def translated(text: str, language: Language) -> str:
     """A text of the evaluator in the document's language; one that is not known stays as it is."""
     return text
