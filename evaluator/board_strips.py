@@ -10,13 +10,19 @@ from evaluator.frames import euler_rotation
 _OTHER_HEIGHT = 1.4  # times the flown one
 _OTHER_SPEED = 1.6
 _LATER_S = 30.0  # between the last strip and the one that is thought of
+FREE_DATUM_M = 1.0  # of a horizontal shift of all boards against the navigation that nothing is known of
 
 
-def predicted_std(problem: BoardProblem, views: Views, xi: np.ndarray) -> np.ndarray:
-    """(6,) standard deviations of xi, rad and m, that observations from these views would give."""
+def predicted_std(problem: BoardProblem, views: Views, xi: np.ndarray, datum_std_m: float = 0.0) -> np.ndarray:
+    """(6,) standard deviations of xi, rad and m, that observations from these views would give.
+
+    With `datum_std_m` all boards may be shifted together, east and north, against the navigation: what only one heading sees
+    as a lever arm then has no small deviation any more, whereas opposite or perpendicular headings part the two. [m]
+    """
     at = remap(problem, views, xi)
     design = at.by_xi.reshape(-1, 6)
-    normal = design.T @ np.linalg.solve(observation_covariance(problem, views, at), design)
+    shifts = datum_std_m * at.by_place.reshape(-1, 3)[:, :2]
+    normal = design.T @ np.linalg.solve(observation_covariance(problem, views, at) + shifts @ shifts.T, design)
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(normal + np.diag(problem.prior_std**-2.0)))))
 
 
@@ -41,7 +47,7 @@ def _copied(
 
 
 def helping_strips(problem: BoardProblem, views: Views, xi: np.ndarray) -> list[tuple[str, np.ndarray]]:
-    """Further strips, one at a time, and the standard deviations that each would leave.
+    """Further strips, one at a time, and the standard deviations that each would leave, a datum shift being free.
 
     The richest strip of each sortie is flown once more with the same boards and as many images: on the opposite heading, on a
     perpendicular one, at 1.4 times its height (a sortie of its own), and, where clocks are not synchronised, at another speed.
@@ -72,5 +78,5 @@ def helping_strips(problem: BoardProblem, views: Views, xi: np.ndarray) -> list[
     for name, copy, turn, stretch, faster in options:
         more = _copied(problem, copy, xi, turn, stretch, faster)
         if len(more.board):
-            out.append((name, predicted_std(problem, views.with_more(more), xi)))
-    return out or [("none of the strips that were tried", predicted_std(problem, views, xi))]
+            out.append((name, predicted_std(problem, views.with_more(more), xi, FREE_DATUM_M)))
+    return out or [("none of the strips that were tried", predicted_std(problem, views, xi, FREE_DATUM_M))]

@@ -27,7 +27,7 @@ from evaluator.board_observations import (
     surveyed_boards,
     swapped_by_azimuth,
 )
-from evaluator.board_strips import helping_strips
+from evaluator.board_strips import FREE_DATUM_M, helping_strips, predicted_std
 from evaluator.frames import WorldFrame
 from evaluator.geometry import certified_lens
 from evaluator.model import CampaignData, EvaluationError
@@ -40,6 +40,9 @@ UNITS = ("deg", "deg", "deg", "m", "m", "m")
 _TO_UNITS = np.array([np.degrees(1.0)] * 3 + [1.0] * 3)
 _LEAST_OBSERVATIONS = 4
 _PRIOR_SHARE, _CORRELATION = 0.5, 0.95  # beyond either a parameter is not determined
+_DATUM_SHARE = (
+    2.0  # growth of a deviation beyond which it rests on there being no shift of the boards against navigation
+)
 _COUNT_STD_PX = 0.35  # of the half-window count: rounding to whole pixels, and its noise
 
 
@@ -164,11 +167,19 @@ def build_board_problem(data: CampaignData, observations: list[BoardObservation]
 def _not_determined(
     problem: BoardProblem, views: Views, fit: BoardFitted, covariance: np.ndarray
 ) -> tuple[dict[str, object], ...]:
-    """What this flight leaves open: sigma above half its prior, or a correlation beyond 0.95; and the strip that would help."""
+    """What this flight leaves open, and the strip that would help.
+
+    Sigma above half its prior, or a correlation beyond 0.95; and sigma above half its prior, or twice what is stated, once all
+    boards may be shifted against the navigation: on one heading a lever arm and such a shift are the same, and a sigma that
+    rests on there being none is no determination, however many images or heights that heading has.
+    """
     std = np.sqrt(np.diag(covariance))
+    free = predicted_std(problem, views, fit.xi, FREE_DATUM_M)
     correlation = covariance / np.outer(std, std)
     off = np.abs(correlation - np.eye(6))
-    weak = [i for i in range(6) if std[i] > _PRIOR_SHARE * problem.prior_std[i] or off[i].max() > _CORRELATION]
+    most = _PRIOR_SHARE * problem.prior_std
+    by_datum = (free > most) | (free > _DATUM_SHARE * std)
+    weak = [i for i in range(6) if std[i] > most[i] or by_datum[i] or off[i].max() > _CORRELATION]
     if not weak:
         return ()
     strips = helping_strips(problem, views, fit.xi)
@@ -177,8 +188,10 @@ def _not_determined(
         partner = int(np.argmax(off[i]))
         name, with_it = min(strips, key=lambda s: s[1][i])
         reasons = []
-        if std[i] > _PRIOR_SHARE * problem.prior_std[i]:
+        if std[i] > most[i]:
             reasons.append("its standard deviation is above half its prior")
+        elif by_datum[i]:
+            reasons.append("the headings flown do not part it from a shift of all boards against the navigation")
         if off[i, partner] > _CORRELATION:
             reasons.append(f"it is tied to {NAMES[partner]}")
         entries.append(
@@ -187,6 +200,7 @@ def _not_determined(
                 "unit": UNITS[i],
                 "reason": " and ".join(reasons),
                 "std": float(std[i] * _TO_UNITS[i]),
+                "std_with_free_datum": float(free[i] * _TO_UNITS[i]),
                 "prior_std": float(problem.prior_std[i] * _TO_UNITS[i]),
                 "partner": NAMES[partner],
                 "correlation": float(correlation[i, partner]),
