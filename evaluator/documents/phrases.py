@@ -1,8 +1,11 @@
 """Words that the evaluator writes in English, in the language of a document; dates; what stands where nothing was recorded."""
 
 import datetime
+import re
+from functools import cache
 
 from evaluator.documents.model import Language, say
+from evaluator.documents.phrase_table import PHRASES
 
 STATUS: dict[str, tuple[str, str]] = {
     "pass": ("符合", "pass"),
@@ -42,6 +45,45 @@ def time_in_words(time: str, language: Language) -> str:
     )
 
 
+_LONGEST = 400  # characters of a text that is looked up
+_DEPTH = 3  # phrases within phrases
+
+
+@cache
+def _phrases() -> tuple[dict[str, str], tuple[tuple[re.Pattern[str], str], ...]]:
+    """Whole phrases, and those with places to fill."""
+    whole: dict[str, str] = {}
+    filled: list[tuple[int, re.Pattern[str], str]] = []
+    for line in PHRASES.splitlines():
+        if not line or line.startswith("#"):
+            continue
+        english, chinese = line.split(" => ")
+        parts = re.split(r"%(\d)", english)
+        if len(parts) == 1:
+            whole[english] = chinese
+            continue
+        pattern = "".join(re.escape(p) if k % 2 == 0 else f"(?P<p{p}>[^;]+?)" for k, p in enumerate(parts))
+        literal = len("".join(parts[::2]))  # what says most is tried first
+        filled.append((-literal, re.compile(pattern), re.sub(r"%(\d)", r"{p\1}", chinese)))
+    return whole, tuple((pattern, words) for _, pattern, words in sorted(filled, key=lambda f: f[0]))
+
+
+def _chinese(text: str, depth: int) -> str:
+    """One phrase; itself where it is not known."""
+    whole, filled = _phrases()
+    if text in whole or not depth:
+        return whole.get(text, text)
+    for pattern, words in filled:
+        found = pattern.fullmatch(text)
+        if found:
+            return words.format(**{k: _chinese(v, depth - 1) for k, v in found.groupdict().items()})
+    if "; " in text:
+        return "；".join(_chinese(part, depth) for part in text.split("; "))
+    return text
+
+
 def translated(text: str, language: Language) -> str:
     """A text of the evaluator in the document's language; one that is not known stays as it is."""
-    return text
+    if language == "en" or len(text) > _LONGEST or not text.isprintable():
+        return text
+    return _chinese(text, _DEPTH)
