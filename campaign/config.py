@@ -319,7 +319,9 @@ class Faults(Model):
         None, description="id of a target whose surveyed place is wrong by survey_error_m"
     )
     survey_error_m: Vector3 = Field((0.0, 0.0, 0.0), description="east north up, added to the surveyed place")
-    swapped_targets: tuple[str, str] | None = Field(None, description="ids of two targets whose names the survey swaps")
+    swapped_targets: tuple[str, str] | None = Field(
+        None, description="ids of two targets whose surveyed places are exchanged"
+    )
     lidar_gain: Positive = Field(1.0, description="factor on the received power")
     camera_gain: Positive = 1.0
 

@@ -79,7 +79,7 @@ def require_targets(config: Config, ids: tuple[str, ...]) -> None:
         )
 
 
-def faulty_survey(config: Config, ids: tuple[str, ...], map_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def faulty_survey(config: Config, ids: tuple[str, ...], map_m: np.ndarray) -> np.ndarray:
     """Surveyed places with the blunders of `faults`.
 
     Parameters
@@ -90,19 +90,16 @@ def faulty_survey(config: Config, ids: tuple[str, ...], map_m: np.ndarray) -> tu
 
     Returns
     -------
-    map_m : (n, 3) np.ndarray
-        With `survey_error_m` added to `survey_target`, then the places of the two `swapped_targets` exchanged. [m]
-    origin : (n,) np.ndarray
-        Number of the target at which each row was really measured.
+    (n, 3) np.ndarray
+        With `survey_error_m` added to `survey_target`, then the places of the two `swapped_targets` exchanged: a point booked
+        under the other's name. Azimuths stay, they come from the setting out. [m]
     """
     require_targets(config, ids)
     faults = config.faults
     out = np.array(map_m, dtype=np.float64)
-    origin = np.arange(len(ids))
     if faults.survey_target is not None:
         out[ids.index(faults.survey_target)] += np.asarray(faults.survey_error_m)
     if faults.swapped_targets is not None:
         a, b = (ids.index(each) for each in faults.swapped_targets)
-        origin[[a, b]] = b, a
         out[[a, b]] = out[[b, a]]
-    return out, origin
+    return out

@@ -26,18 +26,11 @@ def surveyed_targets(config: Config, scene: Scene, frame: SiteFrame) -> list[Sur
     rng = generator(config.seed, Stream.SURVEY)
     marks = frame.map_from_world(np.stack([target.mark_m for target in scene.targets]))
     drawn = marks + rng.standard_normal(marks.shape) * std
-    places, origin = faulty_survey(config, tuple(target.id for target in scene.targets), drawn)
-    measured = [scene.targets[k] for k in origin]
-    return [
-        _surveyed(target, at, point, std, frame)
-        for target, at, point in zip(scene.targets, measured, places, strict=True)
-    ]
+    places = faulty_survey(config, tuple(target.id for target in scene.targets), drawn)
+    return [_surveyed(target, point, std, frame) for target, point in zip(scene.targets, places, strict=True)]
 
 
-def _surveyed(
-    target: Target, measured: Target, point_m: np.ndarray, std_m: np.ndarray, frame: SiteFrame
-) -> SurveyedTarget:
-    """The row of `target`; `measured` is the one at which the surveyors stood."""
+def _surveyed(target: Target, point_m: np.ndarray, std_m: np.ndarray, frame: SiteFrame) -> SurveyedTarget:
     offset = None if target.vertex_m is None else round(float(target.vertex_m[2] - target.mark_m[2]), 6)
     return SurveyedTarget(
         id=target.id,
@@ -48,7 +41,7 @@ def _surveyed(
         easting_std_m=float(std_m[0]),
         northing_std_m=float(std_m[1]),
         height_std_m=float(std_m[2]),
-        azimuth_deg=round(frame.grid_azimuth_deg(measured.azimuth_deg, measured.mark_m), 3),
+        azimuth_deg=round(frame.grid_azimuth_deg(target.azimuth_deg, target.mark_m), 3),
         size_m=target.size_m,
         nominal_reflectance_percent=target.nominal_reflectance_percent,
         style=target.style,

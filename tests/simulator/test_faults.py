@@ -107,13 +107,13 @@ def test_a_blunder_of_the_survey_moves_one_row(scene: Scene) -> None:
 
 
 def test_swapped_targets_exchange_places(scene: Scene) -> None:
-    """Rationale: two labels exchanged: each row holds where the other stands, with its azimuth. Expected: exactly that, and
-    the true scene is not touched (it never sees the survey)."""
+    """Rationale: two points booked under each other's name. Expected: each row holds where the other stands and keeps its own
+    azimuth, which comes from the setting out; every other row is untouched."""
     plain = _places(scene)
     a, b = [t.id for t in scene.targets if t.kind == "frustum"][:2]
     swapped = _places(scene, f'faults.swapped_targets=["{a}", "{b}"]')
-    assert np.array_equal(swapped[a], plain[b])
-    assert np.array_equal(swapped[b], plain[a])
+    assert np.array_equal(swapped[a][:3], plain[b][:3]) and swapped[a][3] == plain[a][3]
+    assert np.array_equal(swapped[b][:3], plain[a][:3]) and swapped[b][3] == plain[b][3]
     assert all(np.array_equal(swapped[t], plain[t]) for t in plain if t not in (a, b))
 
 
