@@ -1,0 +1,81 @@
+"""Words of a plan in Chinese: its statuses and the rows that are its own. Those of the evaluator: `evaluator.documents.phrases`."""
+
+import re
+
+from evaluator.documents.model import Language, say
+from evaluator.documents.phrases import translated
+
+__all__ = ["STATUS", "own", "say"]
+
+STATUS: dict[str, tuple[str, str]] = {
+    "pass": ("符合", "pass"),
+    "fail": ("不符合", "FAIL"),
+    "warning": ("注意", "warning"),
+    "not_applicable": ("不适用", "n/a"),
+    "not_recorded": ("未记录", "no record"),
+    "after": ("检测后判定", "after"),
+}
+
+# English with groups -> Chinese. The whole text must match.
+_OWN: tuple[tuple[str, str], ...] = (
+    ("physics", "物理条件"),
+    ("configuration", "配置"),
+    ("the campaign can be built as configured", "按配置可以建立检测场与飞行"),
+    (
+        r"faces of the frustums \(6\.2\.2 c, d\) measured as planes that meet in a vertex",
+        "棱台各面（6.2.2 c、d）可测为交于公共顶点的平面",
+    ),
+    (
+        r"(\d+) of (\d+) targets, (\d+) of (\d+) passes give a vertex; (\d+) points on a face on average, (\d+) at least "
+        r"\((\w+), sortie (\d+) strip (\d+)\)(.*)",
+        r"\2 个靶标中 \1 个、\4 次扫过中 \3 次可得顶点；每面平均 \5 点，最少 \6 点（\7，架次 \8 航线 \9）\10",
+    ),
+    (
+        r"three faces with 6 clean points or more, of (\d+) targets or more",
+        r"不少于 \1 个靶标，各有三个面、每面不少于 6 点",
+    ),
+    ("longest slant range to the ground unambiguous", "至地面最长斜距不模糊"),
+    (r"≤ ([\d.]+) m, c/\(2·PRR\) with (\d+) channels in turn", r"≤ \1 m，c/(2·PRR)，\2 通道轮流"),
+    ("lowest height within the LiDAR's range", "最低航高在激光雷达测程之内"),
+    (r"> ([\d.]+) m, its shortest range", r"> \1 m（最短测程）"),
+    (
+        r"LiDAR's sector \((.*) to (.*)\) passes over every target and echoes return",
+        r"激光扫描角 \1 至 \2 扫过全部靶标且有回波",
+    ),
+    ("every target in every sortie", "每架次全部靶标"),
+    ("echoes of the panels between detection threshold and saturation", "参考板回波介于检测阈值与饱和之间"),
+    ("motion blur of the images", "像移"),
+    (r"([\d.]+) px at ([\d.]+) m, exposure (.*) s", r"航高 \2 m、曝光 \3 s 时 \1 px"),
+    ("no panel saturates the camera", "参考板影像不饱和"),
+    (r"(\d+) % of full scale \((.*)\)", r"满量程的 \1 %（\2）"),
+    (
+        r"farthest panel of the ranging line \(9\.1\.2 a\) within the unambiguous range",
+        "测距基线最远参考板（9.1.2 a）在不模糊距离之内",
+    ),
+    (r"footprint on the farthest panel of the ranging line \(9\.1\.2 a\)", "测距基线最远参考板（9.1.2 a）上的光斑"),
+    (r"≤ ([\d.]+) m, half the panel", r"≤ \1 m，参考板之半"),
+    (r"begin between (\S+) and (\S+) Beijing time", r"首条航线应在 \1 至 \2（北京时间）开始"),
+    (r"sortie (\d+): (\d+) of (\d+)( \(not .*\))?", r"第 \1 架次：\2/\3\4"),
+    (r"(\d+) DN \((\w+)\) to (\d+) DN \((\w+)\)", r"\1 DN（\2）至 \3 DN（\4）"),
+    (r"(\d+) to (\d+) DN", r"\1 至 \2 DN"),
+    (r"([\d.]+) m at ([\d.]+) m", r"\2 m 处 \1 m"),
+    (
+        r"fly at (\d+) m or lower, or lower lidar\.prr_hz to (\d+)",
+        r"航高降至 \1 m 以下，或将 lidar.prr_hz 降至 \2",
+    ),
+    (r"(.*) as the first strip begins", r"首条航线开始时 \1"),
+)
+_COMPILED = tuple((re.compile(pattern), words) for pattern, words in _OWN)
+
+
+def own(text: str, language: Language) -> str:
+    """A text of a plan in the reader's language; one that is not known stays English."""
+    if language == "en":
+        return text
+    for pattern, words in _COMPILED:
+        found = pattern.fullmatch(text)
+        if found:
+            return found.expand(words)
+    if text.startswith("sortie ") and "; " in text:
+        return "；".join(own(part, language) for part in text.split("; "))
+    return translated(text, language)
