@@ -1,29 +1,21 @@
-"""Solver of the joint adjustment (23): Gauss-Newton under full covariance, blunders by data snooping, the solution's frame.
+"""Solver of the joint adjustment (23): Gauss-Newton under full covariance, rounds of data snooping, the solution's frame.
 
-The observation equations and their covariance live in `mounting_model`; the indicator (20) in `c9_3_calibration`.
+The observation equations and their covariance live in `mounting_model`, the test for blunders in `blunders`; the indicator (20) in
+`c9_3_calibration`.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
-import scipy.stats
 
+from evaluator.blunders import describe_group, rescaled, snooping, variance_factor, without, worst_groups
 from evaluator.frames import euler_angles
 from evaluator.helping_strip import helping_strips
-from evaluator.model import (
-    EvaluationError,
-    MarkObservation,
-    Mounting,
-    MountingSolution,
-    VertexObservation,
-)
-from evaluator.mounting_model import Problem, System, mounting_of
+from evaluator.model import EvaluationError, Mounting, MountingSolution
+from evaluator.mounting_model import KINDS, Problem, System, mounting_of
 
-# An observation is a blunder when its test's tail probability falls below this.
-_BLUNDER = 1e-5
 _MOST_REJECTED = 0.25  # of all observations; more is no longer a matter of single blunders
-_LOOSE_M2 = 1e6 * np.eye(3)  # stands for the covariance of a surveyed place that was rejected
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,96 +77,6 @@ def _gauss_newton(system: System, x: np.ndarray, most_iterations: int = 30) -> _
     raise EvaluationError("the adjustment of the mounting does not converge", got=f"{most_iterations} iterations")
 
 
-def _snooping(system: System, fit: _Fit) -> tuple[np.ndarray, np.ndarray]:
-    """Test of each observation group against all others, under full correlation.
-
-    With W = V^-1 - V^-1 A N^-1 A' V^-1 a shift of group g alone gives (V^-1 r)_g' (W_gg)^-1 (V^-1 r)_g, chi-square
-    distributed. Directions that the other observations hardly control (redundancy below 1 %) are left out.
-
-    Returns
-    -------
-    statistic, freedom : (groups,) np.ndarray
-    """
-    inverse = scipy.linalg.solve_triangular(fit.factor, np.eye(len(fit.factor)), lower=True, check_finite=False)
-    precision = inverse.T @ inverse
-    projected = inverse.T @ fit.design
-    w = precision - projected @ fit.covariance @ projected.T
-    wy = inverse.T @ fit.residual
-    statistic, freedom = np.zeros(len(system.groups)), np.zeros(len(system.groups))
-    for g, (first, size) in enumerate(system.groups):
-        rows = slice(first, first + size)
-        scale = np.linalg.inv(np.linalg.cholesky(precision[rows, rows]))
-        redundancy, vectors = np.linalg.eigh(scale @ w[rows, rows] @ scale.T)
-        along = vectors.T @ (scale @ wy[rows])
-        testable = redundancy > 0.01
-        statistic[g] = np.sum(along[testable] ** 2 / redundancy[testable])
-        freedom[g] = testable.sum()
-    return statistic, freedom
-
-
-def _factor(statistic: np.ndarray, freedom: np.ndarray) -> float:
-    """Robust variance factor of one kind of observation: median of the statistics over the median of chi-square."""
-    use = freedom > 0
-    if use.sum() < 20:
-        return 1.0
-    expected = scipy.stats.chi2.ppf(0.5, freedom[use])
-    return float(np.median(statistic[use] / expected))
-
-
-def _rescaled(problem: Problem, marks: float, vertices: float) -> Problem:
-    return replace(
-        problem,
-        marks=tuple(replace(o, covariance_px2=o.covariance_px2 * marks) for o in problem.marks),
-        vertices=tuple(replace(o, covariance_m2=o.covariance_m2 * vertices) for o in problem.vertices),
-    )
-
-
-def describe_mark(mark: MarkObservation) -> str:
-    """The line that names a mark among the rejected."""
-    return f"mark of {mark.target} in {mark.image} (sortie {mark.sortie})"
-
-
-def describe_vertex(vertex: VertexObservation) -> str:
-    """The line that names a vertex among the rejected."""
-    return f"vertex of {vertex.target} in strip {vertex.strip} (sortie {vertex.sortie})"
-
-
-def describe_place(target: str) -> str:
-    """The line that names a surveyed place among the rejected."""
-    return f"surveyed place of {target}"
-
-
-def _describe(problem: Problem, system: System, group: int) -> str:
-    c, v = len(problem.marks), len(problem.vertices)
-    if group < c:
-        return describe_mark(problem.marks[group])
-    if group < c + v:
-        return describe_vertex(problem.vertices[group - c])
-    return describe_place(system.targets[group - c - v])
-
-
-def _without(problem: Problem, system: System, groups: list[int]) -> Problem:
-    """The problem without some observations; a rejected surveyed place becomes free."""
-    c, v = len(problem.marks), len(problem.vertices)
-    out = set(groups)
-    free = {system.targets[g - c - v] for g in groups if g >= c + v}
-    return replace(
-        problem,
-        marks=tuple(o for i, o in enumerate(problem.marks) if i not in out),
-        vertices=tuple(o for i, o in enumerate(problem.vertices) if c + i not in out),
-        surveyed={t: replace(s, covariance_m2=_LOOSE_M2) if t in free else s for t, s in problem.surveyed.items()},
-    )
-
-
-def _worst(statistic: np.ndarray, freedom: np.ndarray, groups: list[tuple[int, int]]) -> list[int]:
-    """Groups to reject now: those past the threshold whose test is at least half the greatest one."""
-    tail = -scipy.stats.chi2.logsf(statistic, np.maximum(freedom, 1.0))
-    tail[freedom == 0] = 0.0
-    if tail.size == 0 or tail.max() < -np.log(_BLUNDER):
-        return []
-    return [int(g) for g in np.flatnonzero((tail >= -np.log(_BLUNDER)) & (tail >= 0.5 * tail.max()))]
-
-
 def camera_from_lidar(camera: Mounting, lidar: Mounting) -> tuple[np.ndarray, np.ndarray]:
     """(rotation (3, 3), translation (3,) [m]) of camera_from_lidar from body_from_camera and body_from_lidar."""
     rotation = camera.rotation.T @ lidar.rotation
@@ -230,7 +132,7 @@ class Solved:
     system: System
     fit: _Fit
     rejected: list[str]
-    factors: np.ndarray  # (2,) variance factors of marks and vertices
+    factors: np.ndarray  # (3,) variance factors of marks, vertices and planes
 
     @property
     def redundancy(self) -> int:
@@ -245,39 +147,43 @@ class Solved:
 def fit_problem(problem: Problem, *, snoop: bool, start: np.ndarray | None, sensors: tuple[str, ...]) -> Solved:
     """Fits, rejects and rescales until nothing changes."""
     _check(problem, sensors)
-    total = len(problem.marks) + len(problem.vertices)
+    total = len(problem.marks) + len(problem.vertices) + len(problem.planes)
     rejected: list[str] = []
-    factors = np.ones(2)
+    factors = np.ones(len(KINDS))
     first = None if start is None else np.asarray(start, dtype=np.float64)
     scaled = problem
     for _round in range(40):
         system = System(scaled)
         if first is None:
             first = np.zeros(system.count)
-        fit = _gauss_newton(system, np.concatenate([first, system.places.ravel()]))
+        fit = _gauss_newton(system, system.start(first))
         if not snoop:
             break
-        statistic, freedom = _snooping(system, fit)
+        statistic, freedom = snooping(system.groups, fit.factor, fit.design, fit.covariance, fit.residual)
         kinds = np.array(system.kinds)
-        ratio = np.array([_factor(statistic[kinds == k], freedom[kinds == k]) for k in ("mark", "vertex")])
+        ratio = np.array([variance_factor(statistic[kinds == k], freedom[kinds == k]) for k in KINDS])
+        ratio[2] = max(
+            ratio[2], 1.0
+        )  # a plane's variance is its own points'; next to navigation's a lower one does not show
         robust = statistic.copy()
-        for value, kind in zip(ratio, ("mark", "vertex"), strict=True):
+        for value, kind in zip(ratio, KINDS, strict=True):
             robust[kinds == kind] /= max(value, 1.0)
-        worst = _worst(robust, freedom, system.groups)
+        worst = worst_groups(robust, freedom)
         changed = np.abs(np.log(ratio)) > 0.1
         if not worst and (not changed.any() or _round > 8):
             break
         step = np.where(changed, np.clip(ratio, 0.1, 10.0), 1.0)
         factors = factors * step
         first = fit.x[: system.count]
-        rejected += [_describe(scaled, system, g) for g in worst]
+        names = [describe_group(system, g) for g in worst]
+        rejected += names
         if len(rejected) > _MOST_REJECTED * total:
             raise EvaluationError(
                 "more than a quarter of the observations contradict the rest",
                 got=f"{len(rejected)} of {total}",
                 remedy="check time stamps, nominal mounting and survey coordinates",
             )
-        scaled = _rescaled(_without(scaled, system, worst), *step)
+        scaled = rescaled(without(scaled, names), step)
         _check(scaled, sensors)
     else:
         raise EvaluationError("data snooping does not come to an end", got=f"{len(rejected)} observations rejected")
@@ -296,21 +202,21 @@ def strong_pairs(names: tuple[str, ...], covariance: np.ndarray) -> list[dict[st
 
 
 def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray | None = None) -> MountingSolution:
-    """Both mountings from all marks and vertices.
+    """Both mountings from all marks, vertices and panels' planes.
 
     Parameters
     ----------
     problem : Problem
     snoop : bool
-        Reject blunders and estimate the variance factors of marks and vertices; False takes everything as it is.
+        Reject blunders and estimate the variance factors of marks, vertices and planes; False takes everything as it is.
     start : (12 + clocks,) np.ndarray, optional
         First values of the parameters; the drawing's mountings and no clock error when absent.
 
     Returns
     -------
     MountingSolution
-        `companions` hold the variance factors, correlations beyond 0.95, what is not determined, and with `snoop` the strip that
-        would determine it.
+        `companions` hold the variance factors, correlations beyond 0.95, what is not determined, with `snoop` the strip that
+        would determine it, and where there are any the number of planes used.
 
     Raises
     ------
@@ -332,6 +238,7 @@ def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray |
     std = np.sqrt(np.diag(covariance))
     helping = helping_strips(system.problem, x, covariance) if snoop else []
     clocks = dict(zip(names[12:], x[12:], strict=True))
+    planes = len(system.problem.planes)
     return MountingSolution(
         names=names,
         parameters=x,
@@ -353,6 +260,7 @@ def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray |
         companions={
             "variance_factor_marks": float(solved.factors[0]),
             "variance_factor_vertices": float(solved.factors[1]),
+            **({"variance_factor_planes": float(solved.factors[2]), "planes": planes} if planes else {}),
             "strong_correlations": strong_pairs(names, covariance),
             "not_determined": [
                 name for name, s, prior in zip(names, std, system.prior_std, strict=True) if s > 0.5 * prior
@@ -366,22 +274,6 @@ def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray |
     )
 
 
-def kept_problem(problem: Problem, solution: MountingSolution) -> Problem:
-    """The observations that the adjustment kept, with the variances that it ended with and rejected places free."""
-    out = set(solution.rejected)
-    kept = replace(
-        problem,
-        marks=tuple(o for o in problem.marks if describe_mark(o) not in out),
-        vertices=tuple(o for o in problem.vertices if describe_vertex(o) not in out),
-        surveyed={
-            t: replace(s, covariance_m2=_LOOSE_M2) if describe_place(t) in out else s
-            for t, s in problem.surveyed.items()
-        },
-    )
-    factors = [solution.companions.get(f"variance_factor_{kind}", 1.0) for kind in ("marks", "vertices")]
-    return _rescaled(kept, *(float(f) if isinstance(f, float) else 1.0 for f in factors))
-
-
 def on_true_time(problem: Problem, solution: MountingSolution) -> Problem:
     """The observations at the times when they were made by the estimated clocks; itself where none was estimated."""
     camera, lidar = solution.camera_clock_s, solution.lidar_clock_s
@@ -391,4 +283,5 @@ def on_true_time(problem: Problem, solution: MountingSolution) -> Problem:
         problem,
         marks=tuple(replace(o, gps_time_s=o.gps_time_s - camera) for o in problem.marks),
         vertices=tuple(replace(o, gps_time_s=o.gps_time_s - lidar) for o in problem.vertices),
+        planes=tuple(replace(o, gps_time_s=o.gps_time_s - lidar) for o in problem.planes),
     )

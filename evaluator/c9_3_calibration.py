@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from campaign.config import Lens
-from evaluator.adjustment import describe_mark, describe_vertex, on_true_time, solve_mountings
+from evaluator.adjustment import on_true_time, solve_mountings
+from evaluator.blunders import without
 from evaluator.camera_model import camera_points, ideal_px, project, undistorted_px
 from evaluator.georeference import mounting_from_sheet, world_points
 from evaluator.model import EvaluationError, Mounting, MountingSolution
@@ -94,16 +95,6 @@ class CalibrationResult:
 
     indicator: IndicatorValue
     residuals: tuple[Residual, ...]
-
-
-def without_rejected(problem: Problem, solution: MountingSolution) -> Problem:
-    """The observations that the adjustment kept."""
-    out = set(solution.rejected)
-    return replace(
-        problem,
-        marks=tuple(o for o in problem.marks if describe_mark(o) not in out),
-        vertices=tuple(o for o in problem.vertices if describe_vertex(o) not in out),
-    )
 
 
 def lidar_marks(
@@ -258,7 +249,7 @@ def evaluate_calibration(problem: Problem, solution: MountingSolution) -> Calibr
     ----------
     GB/T 41450-2022, 9.3, formulas (20)-(24).
     """
-    kept = without_rejected(problem, solution)
+    kept = without(problem, solution.rejected)
     timed = on_true_time(kept, solution)
     table = residual_table(timed, solution.body_from_camera, solution.body_from_lidar)
     per_target = target_errors(table)

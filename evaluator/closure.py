@@ -1,8 +1,9 @@
 """Closure of the triangle camera-body, LiDAR-body, camera-LiDAR: three ways to the same transform, compared with all they share.
 
-Camera-body from the camera's observations alone and LiDAR-body from the LiDAR's alone give a camera_from_lidar; the joint
-adjustment of 9.3 gives another. Both are linear functions of the same observations, so their difference is one too, and its
-covariance follows from the observations' whole covariance: what they share (navigation, survey, lens) is counted once.
+Camera-body from the camera's observations alone and LiDAR-body from the LiDAR's alone (vertices, panels' planes) give a
+camera_from_lidar; the joint adjustment of 9.3 gives another. Both are linear functions of the same observations, so their
+difference is one too, and its covariance follows from the observations' whole covariance: what they share (navigation,
+survey, lens) is counted once.
 The solutions live in `adjustment` and `single_sensor`. What a closure cannot show is a fault that both ways take up alike, e.g. a
 boresight's change that one lever arm explains as well.
 """
@@ -13,7 +14,8 @@ import numpy as np
 import scipy.linalg
 import scipy.stats
 
-from evaluator.adjustment import camera_from_lidar_vector, kept_problem
+from evaluator.adjustment import camera_from_lidar_vector
+from evaluator.blunders import kept_problem
 from evaluator.helping_strip import weak_parameters
 from evaluator.model import MountingSolution, SensorSolution
 from evaluator.mounting_model import Problem, System
@@ -129,7 +131,7 @@ def closure(problem: Problem, solution: MountingSolution) -> Closure:
     lidar = solve_lidar(kept, snoop=False, start=solution.parameters)
     system = System(kept)
     marks = np.array([solution.vertices_world_m[t] - problem.surveyed[t].vertex_from_mark_m for t in system.targets])
-    linear = system.linearise(np.concatenate([solution.parameters, marks.ravel()]))
+    linear = system.linearise(np.concatenate([solution.parameters, marks.ravel(), np.zeros(len(system.panels))]))
     alone = np.zeros((12, system.size))
     for first, sensor in ((0, "camera"), (6, "lidar")):
         alone[first : first + 6] = alone_estimator(system, linear.design, linear.covariance, sensor)[:6]

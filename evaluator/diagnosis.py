@@ -93,8 +93,8 @@ def _row(quantity: str, unit: str, stated: float, estimate: float, std: float) -
 
 
 def suspects(rejected: Sequence[str], targets: Sequence[str]) -> tuple[str, ...]:
-    """Targets whose surveyed place the adjustment left out."""
-    return tuple(t for t in targets if f"surveyed place of {t}" in rejected)
+    """Targets whose surveyed place, or panels whose surveyed height, the adjustment left out."""
+    return tuple(t for t in targets if f"surveyed place of {t}" in rejected or f"surveyed height of {t}" in rejected)
 
 
 def diagnosis_block(rows: Sequence[Deviation], survey: Sequence[str]) -> dict[str, object]:

@@ -1,10 +1,10 @@
-"""From a campaign as read to both mountings: vertices of every strip, marks of every image, the joint adjustment.
+"""From a campaign as read to both mountings: vertices and planes of every strip, marks of every image, the joint adjustment.
 
 The order of 9.3.2 c-i, nothing else: finding and solving live in `observe` and `adjustment`, the indicator in `c9_3_calibration`.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from evaluator.model import (
     MarkObservation,
     Mounting,
     MountingSolution,
+    PlaneObservation,
     SortieData,
     VertexObservation,
 )
@@ -30,6 +31,7 @@ from evaluator.observe.frustums import FrustumModel, find_vertex, frustum_model
 from evaluator.observe.mark_view import MarkView
 from evaluator.observe.marks import find_mark
 from evaluator.observe.target_view import sheet_corners, to_sun
+from evaluator.panel_planes import PlanesFound, contradiction, observe_planes, surveyed_panels
 
 _HAND_STD_PX = 0.5  # of a pixel that a person picked
 _WIDEST_SEARCH_PX = 120.0
@@ -275,7 +277,10 @@ def surveyed_marks(data: CampaignData) -> dict[str, SurveyedMark]:
 
 
 def build_problem(
-    data: CampaignData, marks: Sequence[MarkObservation], vertices: Sequence[VertexObservation]
+    data: CampaignData,
+    marks: Sequence[MarkObservation],
+    vertices: Sequence[VertexObservation],
+    planes: Sequence[PlaneObservation] = (),
 ) -> Problem:
     """The adjustment's input."""
     if data.rig is None or data.camera is None:
@@ -291,6 +296,8 @@ def build_problem(
         surveyed=surveyed_marks(data),
         trajectories={s.folder.number: s.trajectory for s in data.sorties if s.trajectory is not None},
         world_frame=WorldFrame(data.manifest),
+        planes=tuple(planes),
+        panels=surveyed_panels(data) if planes else {},
     )
 
 
@@ -302,13 +309,16 @@ class GeometryResult:
     solution: MountingSolution
     vertices: tuple[VertexObservation, ...]
     vertex_reasons: dict[str, str]
+    planes: tuple[PlaneObservation, ...] = ()  # as observed; empty where they contradict the vertices
+    plane_reasons: dict[str, str] = field(default_factory=dict)
 
 
 def solve_geometry(
     data: CampaignData, marks: Sequence[MarkObservation], returns: Mapping[tuple[int, int, str], TargetReturns]
 ) -> GeometryResult:
     """Both mountings. Vertices are found twice: with the drawing's mounting, then with the first solution's, so that the
-    sensor's motion while it scans a target is turned by the right mounting.
+    sensor's motion while it scans a target is turned by the right mounting. With that mounting the panels' planes are found; where
+    they agree with the vertices they join the adjustment.
 
     Raises
     ------
@@ -325,4 +335,29 @@ def solve_geometry(
     vertices, reasons = observe_vertices(data, returns, first.body_from_lidar, located=True)
     problem = build_problem(data, marks, vertices)
     solution = solve_mountings(problem, start=first.parameters)
-    return GeometryResult(problem=problem, solution=solution, vertices=tuple(vertices), vertex_reasons=reasons)
+    alone = GeometryResult(problem=problem, solution=solution, vertices=tuple(vertices), vertex_reasons=reasons)
+    return with_planes(data, alone, observe_planes(data, returns, solution.body_from_lidar))
+
+
+def with_planes(data: CampaignData, alone: GeometryResult, found: PlanesFound) -> GeometryResult:
+    """The adjustment with the panels' planes beside what `alone` used; `alone` where there are none, or where they as a whole
+    contradict the vertices (heights surveyed to another face, say), which is then named."""
+    alone = replace(alone, plane_reasons=found.missing)
+    if not found.planes:
+        return _with_rejected(alone, found.rejected)
+    problem = build_problem(data, alone.problem.marks, alone.problem.vertices, found.planes)
+    panels = len({o.panel for o in found.planes})
+    try:
+        solution = solve_mountings(problem, start=alone.solution.parameters)
+        doubt = contradiction(alone.solution, solution)
+    except EvaluationError as error:
+        doubt = str(error)
+    if doubt is not None:
+        return _with_rejected(alone, (*found.rejected, f"planes of all {panels} panels: {doubt}"))
+    together = replace(alone, problem=problem, solution=solution, planes=found.planes)
+    return _with_rejected(together, found.rejected)
+
+
+def _with_rejected(result: GeometryResult, lines: Sequence[str]) -> GeometryResult:
+    solution = result.solution
+    return replace(result, solution=replace(solution, rejected=(*solution.rejected, *lines)))

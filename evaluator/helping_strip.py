@@ -2,8 +2,8 @@
 
 A hypothetical strip passes over the middle of the surveyed targets, level and straight, 60 s after the last observation of the
 sortie whose strip it copies (so it shares that sortie's navigation errors as a real one would). Both sensors observe it as they
-observed the others: with the median variance of their marks and vertices, marks only where the image holds them. Nothing is solved;
-only the covariance of a flight with it is formed. The rule of "not determined" is stated here too.
+observed the others: with the median variance of their marks, vertices and planes, marks only where the image holds them. Nothing is
+solved; only the covariance of a flight with it is formed. The rule of "not determined" is stated here too.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -15,7 +15,7 @@ from campaign.config import Lens
 from campaign.trajectory import Trajectory
 from evaluator.camera_model import project
 from evaluator.frames import WorldFrame, body_pose, euler_angles, euler_rotation
-from evaluator.model import EvaluationError, MarkObservation, Mounting, VertexObservation
+from evaluator.model import EvaluationError, MarkObservation, Mounting, PlaneObservation, VertexObservation
 from evaluator.mounting_model import Problem, System, body_rates
 
 PRIOR_SHARE, CORRELATED = 0.5, 0.95  # not determined: sigma above this share of its prior, or a correlation beyond this
@@ -197,6 +197,15 @@ def with_strip(problem: Problem, strip: Strip, camera: Mounting, lidar: Mounting
     number = 1 + max([o.strip for o in problem.marks] + [o.strip for o in problem.vertices])
     marks: list[MarkObservation] = []
     vertices: list[VertexObservation] = []
+    planes: list[PlaneObservation] = []
+
+    def scanned(at_m: np.ndarray, offset_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """When the LiDAR passes these places, and what it measures."""
+        times = middle + (at_m - centre) @ along / strip.speed_m_s
+        body, rotation = body_pose(flight, times, problem.world_frame)
+        in_body = np.einsum("nji,nj->ni", rotation, at_m + offset_m - body)
+        return times, (in_body - lidar.lever_arm_m) @ lidar.rotation
+
     if problem.marks:
         variance = np.median([m.covariance_px2 for m in problem.marks], axis=0)
         for k, shot in enumerate(middle + np.array(strip.shots_m or (0.0,)) / strip.speed_m_s):
@@ -218,11 +227,8 @@ def with_strip(problem: Problem, strip: Strip, camera: Mounting, lidar: Mounting
             ]
     if problem.vertices:
         variance = np.median([v.covariance_m2 for v in problem.vertices], axis=0)
-        scans = middle + (places - centre) @ along / strip.speed_m_s
-        body, rotation = body_pose(flight, scans, problem.world_frame)
         offset = np.array([problem.surveyed[t].vertex_from_mark_m for t in seen])
-        in_body = np.einsum("nji,nj->ni", rotation, places + offset - body)
-        points = (in_body - lidar.lever_arm_m) @ lidar.rotation
+        scans, points = scanned(places, offset)
         vertices = [
             VertexObservation(
                 target=target,
@@ -238,10 +244,28 @@ def with_strip(problem: Problem, strip: Strip, camera: Mounting, lidar: Mounting
             )
             for target, scan, point in zip(seen, scans, points, strict=True)
         ]
+    if problem.planes:
+        over = sorted({o.panel for o in problem.planes})
+        std = float(np.median([o.std_m for o in problem.planes]))
+        scans, points = scanned(np.array([problem.panels[p].centre_world_m for p in over]), np.zeros(3))
+        planes = [
+            PlaneObservation(
+                panel=panel,
+                sortie=strip.sortie,
+                strip=number,
+                gps_time_s=float(scan),
+                point_lidar_m=point,
+                std_m=std,
+                points=1,
+                rms_m=0.0,
+            )
+            for panel, scan, point in zip(over, scans, points, strict=True)
+        ]
     return replace(
         problem,
         marks=problem.marks + tuple(marks),
         vertices=problem.vertices + tuple(vertices),
+        planes=problem.planes + tuple(planes),
         trajectories={**problem.trajectories, strip.sortie: _extended(old, flight)},
     )
 
@@ -249,7 +273,7 @@ def with_strip(problem: Problem, strip: Strip, camera: Mounting, lidar: Mounting
 def predicted_covariance(problem: Problem, parameters: np.ndarray) -> np.ndarray:
     """Covariance of mounting parameters and clocks that the problem's geometry allows, at given parameters."""
     system = System(problem)
-    linear = system.linearise(np.concatenate([parameters, system.places.ravel()]))
+    linear = system.linearise(system.start(parameters))
     try:
         factor = np.linalg.cholesky(linear.covariance)
     except np.linalg.LinAlgError:

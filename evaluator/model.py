@@ -122,6 +122,21 @@ class VertexObservation:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PlaneObservation:
+    """The upper face of one reflectance panel from one strip: the mean of its points, of which only the place along the panel's
+    normal is used, in the LiDAR frame at `gps_time_s`."""
+
+    panel: str
+    sortie: int
+    strip: int
+    gps_time_s: float  # mean time of the points
+    point_lidar_m: np.ndarray  # (3,)
+    std_m: float  # of the mean along the normal, without navigation and survey
+    points: int
+    rms_m: float  # of the points about their own plane
+
+
+@dataclass(frozen=True, kw_only=True)
 class MountingSolution:
     """Result of the joint adjustment (21)-(23). Parameters: camera roll pitch yaw [rad], lever arm x y z [m], LiDAR the same,
     then the clocks [s] that have a prior.

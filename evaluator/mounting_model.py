@@ -1,15 +1,16 @@
 """Observation equations and stochastic model of the joint adjustment of both mountings, (21)-(23) in flight.
 
 One observation equation serves the camera and the LiDAR alike, p_sensor = sensor_from_body (body_from_world(t) (x - body)
-- lever arm): the camera observes its pixel, the LiDAR the point itself. Unknown are both mountings and every mark's place;
-the surveyed places and the drawing's mountings enter as weighted observations (the priors of rig.json, weak). Navigation
+- lever arm): the camera observes its pixel, the LiDAR the point itself, and of a point on a panel's plane the part along the
+normal. Unknown are both mountings, every mark's place and every panel's height; the surveyed places and heights and the
+drawing's mountings enter as weighted observations (the priors of rig.json, weak). Navigation
 errors, which act on everything seen at nearby times of one sortie alike, and the lens certificate's errors are part of the
 observations' covariance, so that stated variances hold. A sensor whose rig sheet gives its clock a prior has its clock among
 the unknowns: what is stamped t was seen at t - clock. Reading of (21)-(24): one rigid transform does not hold in flight.
-The solver lives in `adjustment`; finding marks and vertices, and the indicator (20), elsewhere.
+The solver lives in `adjustment`; finding marks, vertices and planes, and the indicator (20), elsewhere.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from campaign.trajectory import Trajectory
 from evaluator.camera_model import project_with_jacobian
 from evaluator.frames import WorldFrame, body_pose, euler_angles, euler_rates, euler_rotation, skew
 from evaluator.georeference import nominal_mountings
-from evaluator.model import EvaluationError, MarkObservation, Mounting, VertexObservation
+from evaluator.model import EvaluationError, MarkObservation, Mounting, PlaneObservation, VertexObservation
 
 PARAMETER_NAMES = tuple(
     f"{sensor}_{part}"
@@ -37,6 +38,7 @@ CLOCK_NAMES = (
     "camera_clock",
     "lidar_clock",
 )  # stamped minus true time [s], after the twelve, where the rig has a prior
+KINDS = {"mark": "marks", "vertex": "vertices", "plane": "planes"}  # of observation, each with a variance factor
 _RATE_SPAN_S = 0.02  # rates of the body by differences over it: a tenth of a step's noise, far below any sway
 _ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -48,6 +50,15 @@ class SurveyedMark:
     mark_world_m: np.ndarray  # (3,)
     covariance_m2: np.ndarray  # (3, 3)
     vertex_from_mark_m: np.ndarray  # (3,) the stated vertex minus the mark's centre
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurveyedPanel:
+    """A reflectance panel's upper face as the surveyors give it: level, its height stated."""
+
+    centre_world_m: np.ndarray  # (3,)
+    normal_world: np.ndarray  # (3,) unit, up
+    height_std_m: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,13 +74,15 @@ class Problem:
     surveyed: dict[str, SurveyedMark]
     trajectories: dict[int, Trajectory]  # by sortie
     world_frame: WorldFrame
+    planes: tuple[PlaneObservation, ...] = ()
+    panels: dict[str, SurveyedPanel] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Stack:
-    """Observations of one sensor as arrays; the poses are those at `time_s` less the clock."""
+    """Observations of one kind as arrays; the poses are those at `time_s` less the clock."""
 
-    target: np.ndarray  # (n,) index of the target
+    target: np.ndarray  # (n,) index of the target, or of the panel
     sortie: np.ndarray  # (n,)
     time_s: np.ndarray  # (n,)
     body_m: np.ndarray  # (n, 3)
@@ -78,8 +91,8 @@ class _Stack:
     turn_rad_s: np.ndarray  # (n, 3) angular rate about world axes; the same
     attitude_axes: np.ndarray  # (n, 3, 3) world axes of the errors of roll, pitch, heading
     offset_m: np.ndarray  # (n, 3) observed point minus mark
-    values: np.ndarray  # (n, k) pixels or LiDAR coordinates
-    covariance: np.ndarray  # (n, k, k)
+    values: np.ndarray  # (n, 2) pixels or (n, 3) LiDAR coordinates
+    covariance: np.ndarray  # (n, k, k): k = 2 of marks, 3 of vertices, 1 of planes
 
 
 def mounting_of(nominal: Mounting, parameters: np.ndarray) -> Mounting:
@@ -123,31 +136,30 @@ def observe_points(
     return arm @ mounting.rotation, d_mounting, d_point, d_point @ skew(difference)
 
 
-def _stack(problem: Problem, index: dict[str, int], which: str) -> _Stack:
-    observations: list[MarkObservation | VertexObservation] = [
-        *(problem.marks if which == "camera" else problem.vertices)
-    ]
-    k = 2 if which == "camera" else 3
-    n = len(observations)
+def _stack(problem: Problem, index: dict[str, int], kind: str) -> _Stack:
+    marks, vertices, planes = problem.marks, problem.vertices, problem.planes
+    observations: tuple[MarkObservation | VertexObservation | PlaneObservation, ...]
+    if kind == "mark":
+        observations, of = marks, [o.target for o in marks]
+        values, covariance = [o.uv_px for o in marks], [o.covariance_px2 for o in marks]
+    elif kind == "vertex":
+        observations, of = vertices, [o.target for o in vertices]
+        values, covariance = [o.point_lidar_m for o in vertices], [o.covariance_m2 for o in vertices]
+    else:
+        observations, of = planes, [o.panel for o in planes]
+        values, covariance = [o.point_lidar_m for o in planes], [np.array([[o.std_m**2]]) for o in planes]
+    n, size, k = len(observations), 2 if kind == "mark" else 3, {"mark": 2, "vertex": 3, "plane": 1}[kind]
     sortie = np.array([o.sortie for o in observations], dtype=np.int64)
     time = np.array([o.gps_time_s for o in observations], dtype=np.float64)
-    values = np.zeros((n, k))
-    covariance = np.zeros((n, k, k))
-    offset = np.zeros((n, 3))
-    for i, o in enumerate(observations):
-        if isinstance(o, MarkObservation):
-            values[i], covariance[i] = o.uv_px, o.covariance_px2
-        elif isinstance(o, VertexObservation):
-            values[i], covariance[i] = o.point_lidar_m, o.covariance_m2
-            offset[i] = problem.surveyed[o.target].vertex_from_mark_m
-    sheet = problem.rig.camera if which == "camera" else problem.rig.lidar
+    sheet = problem.rig.camera if kind == "mark" else problem.rig.lidar
+    offset = [problem.surveyed[t].vertex_from_mark_m if kind == "vertex" else np.zeros(3) for t in of]
     return _Stack(
-        target=np.array([index[o.target] for o in observations], dtype=np.int64),
+        target=np.array([index[t] for t in of], dtype=np.int64),
         sortie=sortie,
         time_s=time,
-        offset_m=offset,
-        values=values,
-        covariance=covariance,
+        offset_m=np.array(offset).reshape(n, 3),
+        values=np.array(values).reshape(n, size),
+        covariance=np.array(covariance).reshape(n, k, k),
         **_poses(problem, time, sortie, rates=sheet.clock_std_s > 0.0),
     )
 
@@ -245,37 +257,50 @@ class Linear:
 
 
 class System:
-    """Observations in fixed order: marks (2 rows), vertices (3), surveyed places (3), priors of the mounting (12 rows)
-    and of the clocks (0 to 2). Unknowns: the mountings (12), the clocks that have a prior, every mark's place (3 each)."""
+    """Observations in fixed order: marks (2 rows), vertices (3), planes (1), surveyed places (3), surveyed heights (1), priors of
+    the mounting (12 rows) and of the clocks (0 to 2). Unknowns: the mountings (12), the clocks that have a prior, every mark's
+    place (3 each), every panel's height above the surveyed one (1 each)."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         seen = {o.target for o in problem.marks} | {o.target for o in problem.vertices}
         self.targets = tuple(sorted(seen))
+        self.panels = tuple(sorted({o.panel for o in problem.planes}))
         missing = [t for t in self.targets if t not in problem.surveyed]
+        missing += [p for p in self.panels if p not in problem.panels]
         if missing:
             raise EvaluationError("a target was observed that the survey does not hold", got=missing[0])
         index = {t: i for i, t in enumerate(self.targets)}
-        self.camera = _stack(problem, index, "camera")
-        self.lidar = _stack(problem, index, "lidar")
+        self.camera = _stack(problem, index, "mark")
+        self.lidar = _stack(problem, index, "vertex")
+        self.plane = _stack(problem, {p: i for i, p in enumerate(self.panels)}, "plane")
         self.nominal = nominal_mountings(problem.rig)
         self.places = np.array([problem.surveyed[t].mark_world_m for t in self.targets]).reshape(-1, 3)
-        c, v, t = len(problem.marks), len(problem.vertices), len(self.targets)
-        self.rows_marks, self.rows_vertices, self.rows_places = 0, 2 * c, 2 * c + 3 * v
-        self.rows_prior = self.rows_places + 3 * t
+        of = [problem.panels[o.panel] for o in problem.planes]
+        self._centres = np.array([p.centre_world_m for p in of]).reshape(-1, 3)
+        self._normals = np.array([p.normal_world for p in of]).reshape(-1, 3)
+        sizes = (2 * len(problem.marks), 3 * len(problem.vertices), len(of), 3 * len(self.targets), len(self.panels))
+        first = [int(v) for v in np.concatenate([[0], np.cumsum(sizes)])]
+        self.rows_marks, self.rows_vertices, self.rows_planes, self.rows_places, self.rows_heights = first[:5]
+        self.rows_prior = first[5]
         sheets = (problem.rig.camera, problem.rig.lidar)
         clocks = [(name, s.clock_std_s) for name, s in zip(CLOCK_NAMES, sheets, strict=True) if s.clock_std_s > 0.0]
         self.names = PARAMETER_NAMES + tuple(name for name, _ in clocks)
         self.count = len(self.names)  # of the parameters before the places
         self.size = self.rows_prior + self.count
-        self.kinds = ["mark"] * c + ["vertex"] * v + ["survey"] * t
-        self.groups = [(2 * i, 2) for i in range(c)]
-        self.groups += [(self.rows_vertices + 3 * i, 3) for i in range(v)]
-        self.groups += [(self.rows_places + 3 * i, 3) for i in range(t)]
-        each = [
+        self.kinds: list[str] = []
+        self.groups: list[tuple[int, int]] = []  # first row, rows
+        for kind, start, total, each in zip((*KINDS, "survey", "height"), first, sizes, (2, 3, 1, 3, 1), strict=False):
+            self.kinds += [kind] * (total // each)
+            self.groups += [(start + k, each) for k in range(0, total, each)]
+        priors = [
             np.concatenate([np.full(3, np.radians(s.boresight_std_deg)), np.full(3, s.lever_arm_std_m)]) for s in sheets
         ]
-        self.prior_std = np.concatenate([*each, [std for _, std in clocks]])
+        self.prior_std = np.concatenate([*priors, [std for _, std in clocks]])
+
+    def start(self, parameters: np.ndarray) -> np.ndarray:
+        """First values of all unknowns: the survey's beside the given mounting parameters and clocks."""
+        return np.concatenate([parameters, self.places.ravel(), np.zeros(len(self.panels))])
 
     def mountings(self, x: np.ndarray) -> tuple[Mounting, Mounting]:
         return mounting_of(self.nominal[0], x[0:6]), mounting_of(self.nominal[1], x[6:12])
@@ -289,65 +314,102 @@ class System:
             return stack
         return replace(stack, **_poses(self.problem, stack.time_s - clock_s, stack.sortie, rates=True))
 
+    def _feet(self, stack: _Stack, mounting: Mounting, heights_m: np.ndarray) -> np.ndarray:
+        """Where the planes' normals through the observed points meet the planes, world (n, 3): the places that the points have on
+        their planes, of which nothing but the height is known."""
+        in_body = stack.values @ mounting.rotation.T + mounting.lever_arm_m
+        world = stack.body_m + np.einsum("nij,nj->ni", stack.world_from_body, in_body)
+        above = np.sum((world - self._centres) * self._normals, axis=1) - heights_m[stack.target]
+        return np.asarray(world - above[:, None] * self._normals)
+
     def linearise(self, x: np.ndarray, *, with_covariance: bool = True) -> Linear:
-        """x: mounting parameters and clocks, then 3 of every mark. `with_covariance` False leaves it out."""
-        marks_world = x[self.count :].reshape(-1, 3)
+        """x: mounting parameters and clocks, 3 of every mark, 1 of every panel. `with_covariance` False leaves it out."""
+        of_heights = self.count + 3 * len(self.targets)  # their first column
+        marks_world, heights = x[self.count : of_heights].reshape(-1, 3), x[of_heights:]
         camera, lidar = self.mountings(x)
         design = np.zeros((self.size, x.size))
         residual = np.zeros(self.size)
         covariance = np.zeros((self.size, self.size) if with_covariance else (0, 0))
         d_position, d_attitude = np.zeros((self.rows_places, 3)), np.zeros((self.rows_places, 3))
-        d_lens = np.zeros((self.rows_vertices, 9))
-        for sensor, (stack, mounting, first, column) in enumerate(
-            ((self.camera, camera, self.rows_marks, 0), (self.lidar, lidar, self.rows_vertices, 6))
+        d_lens, d_range = np.zeros((self.rows_vertices, 9)), np.zeros((self.rows_places, 2))
+        for kind, stack, mounting, first, sensor in (
+            ("mark", self.camera, camera, self.rows_marks, 0),
+            ("vertex", self.lidar, lidar, self.rows_vertices, 1),
+            ("plane", self.plane, lidar, self.rows_planes, 1),
         ):
-            n, k = stack.values.shape
+            n, k = stack.covariance.shape[:2]
             if n == 0:
                 continue
+            column = 6 * sensor
             clock = self._clock_column(sensor)
             if clock is not None:
                 stack = self._shifted(stack, float(x[clock]))
-            p, by_mounting, by_point, by_attitude = observe_points(
-                mounting,
-                x[column : column + 3],
-                stack.body_m,
-                stack.world_from_body,
-                marks_world[stack.target] + stack.offset_m,
+            points = (
+                self._feet(stack, mounting, heights) if kind == "plane" else marks_world[stack.target] + stack.offset_m
             )
-            predicted = p
-            if k == 2:
+            p, by_mounting, by_point, by_attitude = observe_points(
+                mounting, x[column : column + 3], stack.body_m, stack.world_from_body, points
+            )
+            if kind == "mark":
                 predicted, d_uv, by_lens = project_with_jacobian(self.problem.lens, p)
                 by_mounting, by_point, by_attitude = d_uv @ by_mounting, d_uv @ by_point, d_uv @ by_attitude
                 d_lens[:] = by_lens.reshape(-1, 9)
+                difference = stack.values - predicted
+            else:
+                difference = stack.values - p
+                towards = stack.values / np.linalg.norm(stack.values, axis=1, keepdims=True)
+                by_range = np.stack([towards, stack.values], axis=-1)  # d p / d(K2, R2), along the ray
+            unknown = by_point
+            if kind == "plane":  # of the point only the part along the normal, as the sensor sees it
+                part = np.swapaxes(by_point @ self._normals[:, :, None], -1, -2)
+                difference, by_range, by_mounting = (
+                    (part @ difference[:, :, None])[..., 0],
+                    part @ by_range,
+                    part @ by_mounting,
+                )
+                by_point, by_attitude = part @ by_point, part @ by_attitude
+                unknown = np.ones((n, 1, 1))  # by the plane's height
             rows = slice(first, first + k * n)
             if clock is not None:  # at t - clock the body was behind: its position by -velocity, its attitude by -turn
                 by_clock = by_point @ stack.velocity_m_s[:, :, None] - by_attitude @ stack.turn_rad_s[:, :, None]
                 design[rows, clock] = by_clock.ravel()
-            residual[rows] = (stack.values - predicted).ravel()
+            residual[rows] = difference.ravel()
             design[rows, column : column + 6] = by_mounting.reshape(-1, 6)
             each = first + np.arange(k * n).reshape(n, k)
-            columns = self.count + 3 * stack.target[:, None] + np.arange(3)
-            design[each[:, :, None], columns[:, None, :]] = by_point
+            at = (
+                of_heights + stack.target[:, None]
+                if kind == "plane"
+                else self.count + 3 * stack.target[:, None] + np.arange(3)
+            )
+            design[each[:, :, None], at[:, None, :]] = unknown
             if with_covariance:
                 covariance[each[:, :, None], each[:, None, :]] = stack.covariance
+            if kind != "mark":
+                d_range[rows] = by_range.reshape(-1, 2)
             d_position[rows] = (by_point @ _ENU_FROM_NED).reshape(-1, 3)
             d_attitude[rows] = (by_attitude @ stack.attitude_axes).reshape(-1, 3)
-        places = slice(self.rows_places, self.rows_prior)
-        residual[places] = (self.places - marks_world).ravel()
-        design[places, self.count :] = np.eye(3 * len(self.targets))
+        surveyed = slice(self.rows_places, self.rows_prior)
+        residual[surveyed] = np.concatenate([(self.places - marks_world).ravel(), -heights])
+        design[surveyed, self.count :] = np.eye(x.size - self.count)
         prior = slice(self.rows_prior, self.size)
         residual[prior] = -x[: self.count]
         design[prior, : self.count] = np.eye(self.count)
         if with_covariance:
-            self._covariance(covariance, d_position, d_attitude, d_lens)
+            self._covariance(covariance, d_position, d_attitude, d_lens, d_range)
         return Linear(residual=residual, design=design, covariance=covariance)
 
     def _covariance(
-        self, covariance: np.ndarray, d_position: np.ndarray, d_attitude: np.ndarray, d_lens: np.ndarray
+        self,
+        covariance: np.ndarray,
+        d_position: np.ndarray,
+        d_attitude: np.ndarray,
+        d_lens: np.ndarray,
+        d_range: np.ndarray,
     ) -> None:
-        """Adds navigation, lens, survey and priors to the observations' own variances."""
-        time = np.concatenate([np.repeat(self.camera.time_s, 2), np.repeat(self.lidar.time_s, 3)])
-        sortie = np.concatenate([np.repeat(self.camera.sortie, 2), np.repeat(self.lidar.sortie, 3)])
+        """Adds navigation, lens, ranges, survey and priors to the observations' own variances."""
+        stacks = (self.camera, self.lidar, self.plane)
+        time = np.concatenate([np.repeat(s.time_s, s.covariance.shape[1]) for s in stacks])
+        sortie = np.concatenate([np.repeat(s.sortie, s.covariance.shape[1]) for s in stacks])
         seen = slice(0, self.rows_places)
         covariance[seen, seen] += navigation_covariance(
             d_position, d_attitude, time, sortie, self.problem.rig.navigation
@@ -355,13 +417,11 @@ class System:
         pixels = slice(0, self.rows_vertices)
         covariance[pixels, pixels] += d_lens @ self.problem.lens_covariance @ d_lens.T
         if self.problem.range_covariance is not None:
-            points = slice(self.rows_vertices, self.rows_places)
-            p = self.lidar.values
-            towards = p / np.linalg.norm(p, axis=1, keepdims=True)
-            by_constants = np.stack([towards.ravel(), p.ravel()], axis=1)  # d p / d(K2, R2), along the ray
-            covariance[points, points] += by_constants @ self.problem.range_covariance @ by_constants.T
+            covariance[seen, seen] += d_range @ self.problem.range_covariance @ d_range.T
         for i, t in enumerate(self.targets):
             block = slice(self.rows_places + 3 * i, self.rows_places + 3 * i + 3)
             covariance[block, block] = self.problem.surveyed[t].covariance_m2
-        prior = slice(self.rows_prior, self.size)
-        covariance[prior, prior] = np.diag(self.prior_std**2)
+        heights = np.arange(self.rows_heights, self.rows_prior)
+        covariance[heights, heights] = [self.problem.panels[p].height_std_m ** 2 for p in self.panels]
+        prior = np.arange(self.rows_prior, self.size)
+        covariance[prior, prior] = self.prior_std**2

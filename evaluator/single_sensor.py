@@ -14,11 +14,11 @@ from evaluator.mounting_model import Problem
 
 def solve_camera(problem: Problem, *, snoop: bool = True, start: np.ndarray | None = None) -> SensorSolution:
     """The camera's mounting (and clock) from its marks alone; see `solve_mountings`. `start` is (12 + clocks,) as there."""
-    return _solve_sensor(replace(problem, vertices=()), "camera", snoop, start)
+    return _solve_sensor(replace(problem, vertices=(), planes=()), "camera", snoop, start)
 
 
 def solve_lidar(problem: Problem, *, snoop: bool = True, start: np.ndarray | None = None) -> SensorSolution:
-    """The LiDAR's mounting (and clock) from the targets' vertices alone; see `solve_mountings`. Marks are not used."""
+    """The LiDAR's mounting (and clock) from the targets' vertices and the panels' planes alone; see `solve_mountings`."""
     return _solve_sensor(replace(problem, marks=()), "lidar", snoop, start)
 
 

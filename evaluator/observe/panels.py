@@ -148,7 +148,7 @@ def find_panel_shift(local_m: np.ndarray, amplitude: np.ndarray, size_m: float) 
 
 
 @dataclass(frozen=True, kw_only=True)
-class _OnPanel:
+class OnPanel:
     """Returns of one strip on one panel."""
 
     key: tuple[int, int, str]
@@ -190,7 +190,7 @@ def lidar_panel_observations(
         if sortie.trajectory is None:
             continue
         for strip in sortie.strips:
-            chosen: list[_OnPanel] = []
+            chosen: list[OnPanel] = []
             for name in sorted(panels):
                 key = (sortie.folder.number, strip, name)
                 if key not in returns:
@@ -201,7 +201,7 @@ def lidar_panel_observations(
                 )
                 world = world_points(p_lidar, rows.gps_time_s, sortie.trajectory, mounting, frame)
                 origin = world_points(np.zeros_like(p_lidar), rows.gps_time_s, sortie.trajectory, mounting, frame)
-                on = _returns_on_panel(
+                on = returns_on_panel(
                     key, panels[name], returns[key], world, origin, data.lidar, frame, body_from_lidar is None
                 )
                 if on is not None:
@@ -210,7 +210,7 @@ def lidar_panel_observations(
     return found
 
 
-def _returns_on_panel(
+def returns_on_panel(
     key: tuple[int, int, str],
     panel: SurveyedTarget,
     rows: TargetReturns,
@@ -219,7 +219,7 @@ def _returns_on_panel(
     lidar: LidarSheet,
     frame: WorldFrame,
     searched: bool,
-) -> _OnPanel | None:
+) -> OnPanel | None:
     centre, axes = panel_axes_world(panel, frame)
     local = (world_m - centre) @ axes.T
     shift = np.zeros(2)
@@ -232,7 +232,7 @@ def _returns_on_panel(
     range_m = np.linalg.norm(ray, axis=1)
     cosine = (ray @ axes[2]) / np.maximum(range_m, 1e-9)
     if rows.picked_by == "person":  # these points and no others (8.3.2 c)
-        return _OnPanel(
+        return OnPanel(
             key=key,
             index=np.arange(len(world_m)),
             points=len(world_m),
@@ -258,7 +258,7 @@ def _returns_on_panel(
     if index.size < _MIN_RETURNS:
         return None
     along = shift @ axes[:2]
-    return _OnPanel(
+    return OnPanel(
         key=key,
         index=index,
         points=int(np.sum(whole & level)),
@@ -272,7 +272,7 @@ def _returns_on_panel(
 def _strip_observations(
     data: CampaignData,
     las: Path,
-    chosen: Sequence[_OnPanel],
+    chosen: Sequence[OnPanel],
     returns: Mapping[tuple[int, int, str], TargetReturns],
 ) -> list[LidarPanelObservation]:
     """Decomposes the packets of one strip's panels together, then averages a panel at a time."""

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluator.adjustment import kept_problem, solve_mountings
+from evaluator.adjustment import solve_mountings
+from evaluator.blunders import kept_problem
 from evaluator.closure import NAMES, alone_estimator, closure, joint_estimator
 from evaluator.model import EvaluationError
 from evaluator.mounting_model import System
