@@ -34,28 +34,40 @@ def clean(text: str, limit: int = TEXT_LENGTH) -> str:
 
 def one_line(text: str, limit: int = HEAD_LENGTH) -> str:
     """The same on one line."""
-    return clean(" ".join(clean(text, 4 * limit).split()), limit)
+    return clean(re.sub(r"[ \n]+", " ", clean(text, 4 * limit)).strip(" "), limit)
+
+
+def _weight(c: str) -> float:
+    """Width of a Latin letter over the mean width of letters, rounded up."""
+    if c in "MW@%mw—":
+        return 1.8
+    return 1.35 if c.isupper() or c in "&#<>=+~" else 1.0
 
 
 def breakable(text: str, room: int) -> str:
-    """Text whose words of Latin letters are never longer than `room` characters: a zero-width space where they may break.
+    """Text whose words of Latin letters are never wider than `room` mean letters: a zero-width space where they may break.
 
     Words that fit stay as they are, so a number is found again by its digits.
     """
     room = max(room, 4)
 
     def part(found: re.Match[str]) -> str:
-        word, out, since = found.group(), [], 0
-        for i, c in enumerate(word):
+        word = found.group()
+        left = sum(map(_weight, word))
+        if left <= room:
+            return word
+        out, since = [], 0.0
+        for c, after in zip(word, [*word[1:], ""], strict=True):
             out.append(c)
-            since += 1
-            left = len(word) - i - 1
-            if left and (since >= room or (c in _JOINTS and since >= room // 2 and left + since > room)):
+            since += _weight(c)
+            left -= _weight(c)
+            full = since + _weight(after or "i") > room
+            if after and (full or (c in _JOINTS and since >= room / 2 and left + since > room)):
                 out.append("\u200b")
-                since = 0
+                since = 0.0
         return "".join(out)
 
-    return re.sub(rf"[!-~\u00a1-\u2e7f]{{{room + 1},}}", part, text)
+    return re.sub(rf"[!-~\u00a1-\u2e7f]{{{max(2, int(room / 1.8))},}}", part, text)
 
 
 def shown(cell: Cell) -> str:

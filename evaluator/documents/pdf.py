@@ -15,6 +15,7 @@ import typst
 from campaign.atomic import complete_file
 from evaluator.documents.cells import (
     TITLE_LENGTH,
+    Placed,
     alignment,
     breakable,
     clean,
@@ -40,6 +41,7 @@ from evaluator.model import EvaluationError
 _TEMPLATE = Path(__file__).with_name("document.typ")
 _TEXT_WIDTH_MM = {False: 166.0, True: 253.0}  # of A4 upright and on its side, less the margins
 _EM_MM = {False: 3.35, True: 2.65}  # size of a table's letters, usual and small
+_WHOLE_LINES = 20  # a cell of fewer, of the widest letters, is kept on one page
 _LETTER_EM = 0.56  # mean width of a Latin letter
 
 
@@ -106,7 +108,7 @@ def _content(document: Document, day: datetime.date) -> dict[str, Any]:
         "date": [day.year, day.month, day.day],
         "head": {
             "title": breakable(one_line(document.title), 20),
-            "campaign": one_line(document.campaign_id),
+            "campaign": one_line(document.campaign_id, 28),
             "notice": synthetic_notice(document),
         },
         "words": {
@@ -114,7 +116,7 @@ def _content(document: Document, day: datetime.date) -> dict[str, Any]:
             "date": say(document.language, "日期", "Date"),
         },
         "cover": [
-            [one_line(label), breakable(clean(value, TITLE_LENGTH), 36).replace("\n", " ")]
+            [breakable(one_line(label), 14), breakable(clean(value, TITLE_LENGTH), 36).replace("\n", " ")]
             for label, value in document.cover
         ],
         "blocks": [_block(b, room_mm) for b in document.blocks],
@@ -160,14 +162,17 @@ def _table(table: Table, room_mm: float) -> dict[str, Any]:
         "align": alignment(table),
         "fields": table.fields,
         "small": table.small,
-        "cells": [
-            {
-                "x": c.column,
-                "y": c.row,
-                "down": c.down,
-                "across": c.across,
-                "text": breakable(c.text, sum(rooms[c.column : c.column + c.across])),
-            }
-            for c in placed(table)
-        ],
+        "cells": [_cell(c, sum(rooms[c.column : c.column + c.across])) for c in placed(table)],
+    }
+
+
+def _cell(cell: Placed, room: int) -> dict[str, Any]:
+    """One cell; a long one may go over a page's end, others keep their row together."""
+    return {
+        "x": cell.column,
+        "y": cell.row,
+        "down": cell.down,
+        "across": cell.across,
+        "text": breakable(cell.text, room),
+        "long": 1.8 * len(cell.text) / max(room, 1) + cell.text.count("\n") > _WHOLE_LINES,
     }
