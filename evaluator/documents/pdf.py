@@ -15,7 +15,6 @@ import typst
 from campaign.atomic import complete_file
 from evaluator.documents.cells import (
     TITLE_LENGTH,
-    Placed,
     alignment,
     breakable,
     clean,
@@ -41,7 +40,7 @@ from evaluator.model import EvaluationError
 _TEMPLATE = Path(__file__).with_name("document.typ")
 _TEXT_WIDTH_MM = {False: 166.0, True: 253.0}  # of A4 upright and on its side, less the margins
 _EM_MM = {False: 3.35, True: 2.65}  # size of a table's letters, usual and small
-_WHOLE_LINES = 20  # a cell of fewer, of the widest letters, is kept on one page
+_WHOLE_LINES = 20  # a row of fewer, of the widest letters, is kept on one page
 _LETTER_EM = 0.56  # mean width of a Latin letter
 
 
@@ -148,10 +147,17 @@ def _block(block: Block, room_mm: float) -> dict[str, Any]:
             return {"kind": "page"}
 
 
+def _lines(text: str, room: int) -> float:
+    """How many lines a cell has at most."""
+    return 1.8 * len(text) / max(room, 1) + text.count("\n")
+
+
 def _table(table: Table, room_mm: float) -> dict[str, Any]:
     widths = shares(table)
     letter_mm = _EM_MM[table.small] * _LETTER_EM
     rooms = [int((w * room_mm - 3.5) / letter_mm) for w in widths]  # letters that a column holds
+    cells = list(placed(table))
+    long = {c.row for c in cells if _lines(c.text, sum(rooms[c.column : c.column + c.across])) > _WHOLE_LINES}
     head = [breakable(clean(h), rooms[j]) for j, h in enumerate(table.head)]
     return {
         "kind": "table",
@@ -162,17 +168,15 @@ def _table(table: Table, room_mm: float) -> dict[str, Any]:
         "align": alignment(table),
         "fields": table.fields,
         "small": table.small,
-        "cells": [_cell(c, sum(rooms[c.column : c.column + c.across])) for c in placed(table)],
-    }
-
-
-def _cell(cell: Placed, room: int) -> dict[str, Any]:
-    """One cell; a long one may go over a page's end, others keep their row together."""
-    return {
-        "x": cell.column,
-        "y": cell.row,
-        "down": cell.down,
-        "across": cell.across,
-        "text": breakable(cell.text, room),
-        "long": 1.8 * len(cell.text) / max(room, 1) + cell.text.count("\n") > _WHOLE_LINES,
+        "cells": [
+            {
+                "x": c.column,
+                "y": c.row,
+                "down": c.down,
+                "across": c.across,
+                "text": breakable(c.text, sum(rooms[c.column : c.column + c.across])),
+                "long": c.row in long,
+            }
+            for c in cells
+        ],
     }
