@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
 
+from campaign.archive_font import font_face
 from campaign.formats.text import read_bounded
 from campaign.manifest import Manifest
 
@@ -129,7 +130,8 @@ def item_html(manifest: Manifest, items: Sequence[Item], results: Path | None) -
             out.append(f"<h3>{category}) {zh} / {en}</h3>")
             out.append(_table(("文件 / file", "内容", "content", "字节 / bytes"), rows, numbers=1))
     out.append("<p>SHA-256: item_list.csv, manifest-sha256.txt (BagIt)</p>\n</body>\n</html>\n")
-    return "\n".join(out)
+    page = "\n".join(out)
+    return page.replace("<style>", f"<style>{font_face(page, _FAMILY)}", 1)
 
 
 def ro_crate(manifest: Manifest, items: Sequence[Item]) -> str:
@@ -228,13 +230,19 @@ def _test_items(results: Path | None) -> str:
 
 def _value(block: dict[str, Any]) -> str:
     value = block.get("value")
-    return f"{value:.4g} {block.get('unit', '')}" if isinstance(value, int | float) else "–"
+    return f"{value:.5g} {block.get('unit', '')}" if isinstance(value, int | float) else "–"
 
 
 def _total(category: str, items: Sequence[Item]) -> tuple[object, ...]:
     own = [i for i in items if i.content[0] == category]
     zh, en = CATEGORIES[category]
-    return f"{category})", zh, en, len(own) + (len(OWN) if category == "a" else 0), f"{sum(i.size for i in own):,}"
+    return (
+        f"{category})",
+        zh,
+        en,
+        len(own) + (len(OWN) if category == "a" else 0),
+        f"{sum(i.size for i in own):,}" if own else "",
+    )
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[object]], numbers: int = 0) -> str:
@@ -251,9 +259,10 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[object]], numbers: int =
     return f"<div><table>\n{line('th', head)}\n{body}\n</table></div>"
 
 
+_FAMILY = "Archive Chinese"
 _STYLE = (
-    "body{font:15px/1.5 system-ui,'Noto Sans SC','PingFang SC','Microsoft YaHei',sans-serif;max-width:70em;margin:2em auto;"
+    "body{font:15px/1.5 'Archive Chinese',system-ui,sans-serif;max-width:64em;margin:2em auto;"
     "padding:0 1em;color:#222}table{border-collapse:collapse}div{overflow-x:auto}td,th{border-bottom:1px solid #ddd;"
-    "padding:.2em .8em .2em 0;text-align:left;vertical-align:top}.n{text-align:right;white-space:nowrap}"
+    "padding:.2em .8em .2em 0;text-align:left;vertical-align:top;white-space:nowrap}.n{text-align:right}"
     "h3{margin-bottom:.3em}"
 )
