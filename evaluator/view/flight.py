@@ -38,6 +38,7 @@ class CameraPose:
     gps_time_s: float
     centre_m: np.ndarray  # (3,) map
     corners_m: np.ndarray | None  # (4, 3) map offsets of the image's corners from the centre, a frustum's length away
+    map_from_camera: np.ndarray | None  # (3, 3) the camera's axes, x right, y down the image, z forward, as columns
     adjusted: bool  # by the adjusted mounting, else as drawn
 
 
@@ -108,10 +109,13 @@ def _sortie_cameras(evaluation: Evaluation, data: CampaignData, sortie: SortieDa
     position, world_from_body = body_pose(trajectory, time, frame)
     rays = _corner_rays(data)
     corners: np.ndarray | None = None
+    turned: np.ndarray | None = None
     if mounting is not None:
         position = position + world_from_body @ mounting.lever_arm_m
         if rays is not None:
             corners = np.einsum("nij,kj->nki", world_from_body @ mounting.rotation, rays)
+        grid = frame.world_from_grid(frame.map_from_world(position))
+        turned = np.swapaxes(grid, 1, 2) @ world_from_body @ mounting.rotation
     centres = frame.map_from_world(position)
     ground = (
         float(np.mean([t.height_m for t in data.targets])) if data.targets else frame.map_from_world(np.zeros(3))[2]
@@ -130,6 +134,7 @@ def _sortie_cameras(evaluation: Evaluation, data: CampaignData, sortie: SortieDa
                 gps_time_s=e.gps_time_s,
                 centre_m=centres[k],
                 corners_m=ends,
+                map_from_camera=None if turned is None else turned[k],
                 adjusted=evaluation.mounting is not None,
             )
         )
