@@ -72,6 +72,12 @@ def span(low: float, high: float, decimals: int, unit: str, language: Language) 
     return say(language, f"{first} {unit}～{last} {unit}", f"{first} to {last} {unit}").strip()
 
 
+def companions(results: Mapping[str, Any], indicator_id: str) -> Mapping[str, Any]:
+    """What stands beside an indicator's value; empty where nothing does."""
+    found = results["indicators"][indicator_id]["companions"]
+    return found if isinstance(found, Mapping) else {}
+
+
 def value_figure(results: Mapping[str, Any], indicator_id: str) -> Figure:
     """An indicator's value with the decimals used everywhere."""
     block = results["indicators"][indicator_id]
