@@ -168,7 +168,8 @@ def test_ten_rendered_seeds_meet_the_bound(ten: list[Run]) -> None:
     ratio, sampling = pooled_ratio(np.array(errors), np.array(bounds))
     each = np.sqrt(np.mean(np.array(errors) ** 2, axis=0) / np.mean(np.diagonal(bounds, axis1=1, axis2=2), axis=0))
     print(
-        f"RMSE over bound, pooled {ratio:.2f} (1 +- {sampling:.2f}); each", dict(zip(SHORT, each.round(2), strict=True))
+        f"RMSE over bound, pooled {ratio:.2f} (1 +- {sampling:.2f}); each",
+        dict(zip(SHORT, each.round(2).tolist(), strict=True)),
     )
     print("bound", np.sqrt(np.mean(np.diagonal(bounds, axis1=1, axis2=2), axis=0)).round(5), "deg, m")
     print("stated over bound, least and greatest", np.min(stated, axis=0).round(3), np.max(stated, axis=0).round(3))

@@ -16,7 +16,7 @@ APX15, ONE_STRIP, SHORT, UNIT = (SHARED[name] for name in ("APX15", "ONE_STRIP",
 check_single_strip, dry, error_of, pooled_ratio, std_of = (
     SHARED[name] for name in ("check_single_strip", "dry", "error_of", "pooled_ratio", "std_of")
 )
-SYNTHETIC = 200
+SYNTHETIC, WITH_APX15 = 120, 40
 
 
 def many(flight, seeds: range) -> tuple[np.ndarray, np.ndarray]:
@@ -34,12 +34,12 @@ def many(flight, seeds: range) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.slow
-def test_two_hundred_synthetic_seeds_meet_the_bound(tmp_path: Path) -> None:
-    """Rationale: ten seeds leave 22 % of chance in each parameter's own RMSE; two hundred leave 5 %. The camera's clock, whose
+def test_synthetic_seeds_meet_the_bound(tmp_path: Path) -> None:
+    """Rationale: ten seeds leave 22 % of chance in each parameter's own RMSE; 120 leave 6.5 %. The camera's clock, whose
     prior of 1 ms is in the bound, is drawn too, which the rendered seeds, at no clock error, do not.
 
     Expected: each parameter alone at most 1.3 times its bound, and not below it by more than chance; 99.73 % of |z| under 3.
-    Tolerance: 0.8 to 1.3 (four deviations of chance below); stated within 3 % of the bound; at most 1 % of |z| beyond 3.
+    Tolerance: 0.75 to 1.3 (four deviations of chance to either side); stated within 3 % of the bound; at most 1 % of |z| beyond 3.
     """
     flight = dry(tmp_path)
     limit = flight.bound()
@@ -47,35 +47,37 @@ def test_two_hundred_synthetic_seeds_meet_the_bound(tmp_path: Path) -> None:
     ratio = np.sqrt(np.mean(errors**2, axis=0) / np.diag(limit))
     pooled, sampling = pooled_ratio(errors, np.tile(limit, (len(errors), 1, 1)))
     z = errors / stated
-    print(f"RMSE over bound {dict(zip(SHORT, ratio.round(3), strict=True))}, pooled {pooled:.3f} (1 +- {sampling:.3f})")
+    print(
+        f"RMSE over bound {dict(zip(SHORT, ratio.round(3).tolist(), strict=True))}, pooled {pooled:.3f} (1 +- {sampling:.3f})"
+    )
     print(
         "stated over bound",
         (stated / np.sqrt(np.diag(limit))).mean(axis=0).round(3),
         "|z| > 3:",
         np.sum(np.abs(z) > 3.0),
     )
-    assert np.all(ratio <= 1.3) and np.all(ratio >= 0.8)
+    assert np.all(ratio <= 1.3) and np.all(ratio >= 0.75)
     assert stated.mean(axis=0) == pytest.approx(np.sqrt(np.diag(limit)), rel=0.03)
     assert np.mean(np.abs(z) > 3.0) <= 0.01
 
 
 @pytest.mark.slow
-def test_sixty_synthetic_seeds_with_an_apx15(tmp_path: Path) -> None:
+def test_synthetic_seeds_with_an_apx15(tmp_path: Path) -> None:
     """Rationale: acceptance 1: what a coarse navigation allows must be what is stated. Expected: error within 3 stated
     deviations, RMSE within 1.3 of the bound for this navigation, which is several times that of the fine one.
-    Tolerance: at most 1 % of |z| beyond 3 (0.27 % by chance); each ratio 0.65 to 1.3 (sampling deviation 9 %), stated 5 %.
+    Tolerance: at most 1 % of |z| beyond 3 (0.27 % by chance); each ratio 0.6 to 1.3 (sampling deviation 11 %), stated 5 %.
     """
     (tmp_path / "fine").mkdir()
     flight, fine = dry(tmp_path, APX15), dry(tmp_path / "fine")
     limit = flight.bound()
-    errors, stated = many(flight, range(2000, 2060))
+    errors, stated = many(flight, range(2000, 2000 + WITH_APX15))
     ratio = np.sqrt(np.mean(errors**2, axis=0) / np.diag(limit))
     wider = np.sqrt(np.diag(limit) / np.diag(fine.bound()))
     print("RMSE over bound", ratio.round(2), "bound", np.sqrt(np.diag(limit)).round(4), "times wider", wider.round(1))
     print("stated over bound", (stated / np.sqrt(np.diag(limit))).mean(axis=0).round(3))
     print("greatest |z|", np.abs(errors / stated).max(axis=0).round(2))
     assert np.mean(np.abs(errors / stated) > 3.0) <= 0.01
-    assert np.all(ratio <= 1.3) and np.all(ratio >= 0.65)
+    assert np.all(ratio <= 1.3) and np.all(ratio >= 0.6)
     assert stated.mean(axis=0) == pytest.approx(np.sqrt(np.diag(limit)), rel=0.05)
     assert np.all(wider[:3] > 3.0)
 
