@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from evaluator.camera_model import undistorted_px
-from evaluator.documents.handbooks_common import companions, cut, figure, missing, value_figure
+from evaluator.documents.handbooks_common import blunder, companions, cut, figure, missing, value_figure
 from evaluator.documents.model import Block, Cell, Figure, Formula, Heading, Language, Paragraph, Table, say
-from evaluator.documents.phrases import translated
 from evaluator.frames import WorldFrame
 from evaluator.geometry import certified_lens, surveyed_marks
 from evaluator.georeference import world_points
@@ -202,7 +201,7 @@ def per_target_table(
     rows.append(
         ["Σ", Figure(value=sum(images.get(t, 0) for t, _ in errors), decimals=0), Figure(value=total, decimals=4)]
     )
-    head = say(language, "靶标|影像数|P_i pixel", "Target|Images|P_i pixel").split("|")
+    head = say(language, "靶标|影像数|Pᵢ pixel", "Target|Images|Pᵢ pixel").split("|")
     third = -(-len(rows) // 3)
     blank: list[Cell] = [""] * 3
     cells = [
@@ -221,7 +220,7 @@ def per_target_table(
             align="lrr" * 3,
             small=True,
         ),
-        Formula(text=f"P_m = ΣP_i / n = {total:.4f} / {n} = {p_m.text}", number="(20)"),
+        Formula(text=f"P_m = ΣPᵢ / n = {total:.4f} / {n} = {p_m.text}", number="(20)"),
     ]
 
 
@@ -245,7 +244,8 @@ def _transform(results: Mapping[str, Any], solution: MountingSolution, language:
             Formula(text=("R_LC = " if k == 1 else "　　　") + line, number="(21)" if k == 1 else "")
             for k, line in enumerate(_matrix(solution.camera_from_lidar_rotation))
         ),
-        Formula(text="V = C₁ΔdX + C₂ΔdY + C₃ΔdZ + C₄Δα + C₅Δβ + C₆Δγ + L", number="(22), (23)"),
+        Formula(text="x = f X/Z,   y = f Y/Z,   [X Y Z]ᵀ = R_LC [X_L Y_L Z_L]ᵀ + t", number="(22)"),
+        Formula(text="V = C₁ΔdX + C₂ΔdY + C₃ΔdZ + C₄Δα + C₅Δβ + C₆Δγ + L", number="(23)"),
         Formula(text="s [u v 1]ᵀ = K (R_LC [X Y Z]ᵀ + t)", number="(24)"),
         Table(
             caption=say(
@@ -263,9 +263,9 @@ def _transform(results: Mapping[str, Any], solution: MountingSolution, language:
                 language,
                 "飞行中扫描仪与相机在不同时刻观测同一靶标，故以 p_C = R_CB R_BW(t_e) R_WB(t_s) R_BL p_L 表示（22），"
                 "两个传感器的安置参数联合平差，控制测量的靶标位置作为带权观测值；上表为两者的乘积。像平面坐标采用影像轴，不用 −f。",
-                "In flight scanner and camera see a target at different times: (22) is taken as p_C = R_CB R_BW(t_e) R_WB(t_s) R_BL "
-                "p_L. Both mountings are adjusted together with the surveyed places as weighted observations; the table holds their "
-                "product. Image axes are used, without −f.",
+                "In flight scanner and camera see a target at different times: (22) is taken as p_C = R_CB R_BW(t_e) R_WB(t_s) "
+                "R_BL p_L. Both mountings are adjusted together with the surveyed places as weighted observations; the table holds "
+                "their product. Image axes are used, without −f.",
             ),
             note=True,
         ),
@@ -325,7 +325,7 @@ def _mounting(results: Mapping[str, Any], solution: MountingSolution, language: 
         text = say(language, f"未能确定的参数：{listed}。", f"Not determined: {listed}.")
         blocks.append(Paragraph(text=text, note=True))
     if solution.rejected:
-        listed = say(language, "；", "; ").join(translated(line, language) for line in solution.rejected)
+        listed = say(language, "；", "; ").join(blunder(line, language) for line in solution.rejected)
         text = say(language, f"作为粗差剔除的观测值：{listed}。", f"Left out as blunders: {listed}.")
         blocks.append(Paragraph(text=text, note=True))
     return blocks

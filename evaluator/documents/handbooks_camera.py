@@ -13,7 +13,7 @@ from evaluator.results import Evaluation
 
 _ID = "camera_reprojection_error"
 _AT = f"indicators.{_ID}.companions"
-_SYMBOLS = {"fx_px": "f_x", "fy_px": "f_y", "cx_px": "c_x", "cy_px": "c_y"}
+_SYMBOLS = {"fx_px": "fx", "fy_px": "fy", "cx_px": "cx", "cy_px": "cy"}
 
 
 def camera_geometry_blocks(evaluation: Evaluation, results: Mapping[str, Any], language: Language) -> list[Block]:
@@ -31,7 +31,8 @@ def camera_geometry_blocks(evaluation: Evaluation, results: Mapping[str, Any], l
     if not found.get("parameters"):
         return blocks
     blocks += [
-        Formula(text="s_i [u_i v_i 1]ᵀ = K [R|t] [X_i Y_i Z_i 1]ᵀ", number="(16), (17)"),
+        Formula(text="sᵢ [uᵢ vᵢ 1]ᵀ = K [R|t] [Xᵢ Yᵢ Zᵢ 1]ᵀ", number="(16)"),
+        Formula(text="sᵢ wᵢ = K [R|t] Pᵢ", number="(17)"),
         *_interior(results, language),
     ]
     if found.get("per_image"):
@@ -110,7 +111,7 @@ def _images(chessboard: ChessboardResult | None, results: Mapping[str, Any], lan
     shown, more = cut(rows, language, "results.json")
     value = value_figure(results, _ID)
     return [
-        Formula(text="ξ* = arg min ½ Σ‖ w_i − (1/s_i) K [R|t] P_i ‖²", number="(18)"),
+        Formula(text="ξ* = arg min ½ Σ‖ wᵢ − (1/sᵢ) K [R|t] Pᵢ ‖²", number="(18)"),
         Table(
             caption=say(
                 language,
@@ -119,8 +120,8 @@ def _images(chessboard: ChessboardResult | None, results: Mapping[str, Any], lan
             ),
             head=say(
                 language,
-                "影像|r_x|r_y|r_z|t_x|t_y|t_z|距离 m|角点|平均 px|合计 px",
-                "Image|r_x|r_y|r_z|t_x|t_y|t_z|Dist. m|n|Mean px|Sum px",
+                "影像|rx|ry|rz|tx|ty|tz|距离 m|角点|平均 px|合计 px",
+                "Image|rx|ry|rz|tx|ty|tz|Dist. m|n|Mean px|Sum px",
             ).split("|"),
             rows=shown,
             widths=(1.15, 1.0, 1.0, 1.0, 0.95, 0.95, 0.95, 0.85, 0.7, 1.05, 1.05),
@@ -129,7 +130,7 @@ def _images(chessboard: ChessboardResult | None, results: Mapping[str, Any], lan
         ),
         *more,
         Formula(
-            text=f"M_z = Σ‖ w_i − (1/s_i) K [R|t] P_i ‖ / n = {total:.5f} / {corners} = {value.text}",
+            text=f"M_z = Σ‖ wᵢ − (1/sᵢ) K [R|t] Pᵢ ‖ / n = {total:.5f} / {corners} = {value.text}",
             number="(19)",
         ),
         Table(

@@ -4,6 +4,7 @@ The builders live in `handbooks_observation`, `handbooks_radiometry` and `handbo
 """
 
 import datetime
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -28,6 +29,12 @@ from evaluator.results import Evaluation, shown_decimals
 MOST_ROWS = 600  # of one table; a longer list ends with where all of it stands
 _GPS_EPOCH = datetime.datetime(1980, 1, 6, tzinfo=datetime.UTC)
 _BEIJING = datetime.timezone(datetime.timedelta(hours=8))
+_BLUNDERS = (
+    (re.compile(r"mark of (\S+) in (\S+) \(sortie (\d+)\)"), "第 {2} 架次影像 {1} 中靶标 {0} 的标识"),
+    (re.compile(r"vertex of (\S+) in strip (\d+) \(sortie (\d+)\)"), "第 {2} 架次航线 {1} 中靶标 {0} 的公共顶点"),
+    (re.compile(r"plane of (\S+) in strip (\d+) \(sortie (\d+)\)"), "第 {2} 架次航线 {1} 中靶标 {0} 的平面"),
+    (re.compile(r"surveyed place of (\S+)"), "靶标 {0} 的控制测量位置"),
+)
 _GRADE_WORDS: dict[str, tuple[str, str]] = {
     "excellent": ("优", "excellent"),
     "good": ("良", "good"),
@@ -111,6 +118,17 @@ def missing(results: Mapping[str, Any], indicator_id: str, language: Language) -
             )
         )
     return blocks
+
+
+def blunder(line: str, language: Language) -> str:
+    """An observation that the adjustment left out, in the document's language."""
+    if language == "en":
+        return line
+    for pattern, words in _BLUNDERS:
+        found = pattern.match(line)
+        if found:
+            return words.format(*found.groups()) + line[found.end() :]
+    return translated(line, language)
 
 
 def grade_word(grade: str, language: Language) -> str:

@@ -237,7 +237,8 @@ def _constants(results: Mapping[str, Any], panels: Sequence[Mapping[str, Any]], 
     value = value_figure(results, _ID)
     plus = figure(results, f"{_AT}.multiplication_constant", 4, "ppm", scale=1e6)
     return [
-        Formula(text="v_r = −K₂ − R₂L_r + (L̃_r − L_r)", number="(13), (14)"),
+        Formula(text="L̃ᵢ = (Lᵢ + vᵢ) + K₂ + R₂Lᵢ", number="(13)"),
+        Formula(text="vᵢ = −K₂ − R₂Lᵢ + (L̃ᵢ − Lᵢ)", number="(14)"),
         Table(
             rows=[
                 (
