@@ -2,11 +2,13 @@
 
 Modules
 -------
-html     the page: what stands in it and its template (template.html.j2)
-words    how each indicator is calculated, in words and symbols
-plots    diagrams that need no picture: layout, profile, reflectance, residuals, correlations, waveforms
-photos   an image with its targets drawn, zooms, and the composite picture of a run
-style    fonts with Chinese glyphs, colours, figures to data URIs
+html              the page (template.html.j2, page.css)
+sections          what stands in its tables
+pictures          which drawings stand where; made by plots, radiometry_plots, bench_plots
+overlays          every image with what was found in it, and its targets enlarged
+texts, plot_texts every word in Chinese and English; words: the indicators; terms: names; requirements: clauses
+photos            the composite picture of a run
+style             fonts with Chinese glyphs, colours, figures to data URIs
 """
 
 from evaluator.report.html import write_report

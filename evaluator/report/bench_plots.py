@@ -9,6 +9,7 @@ from matplotlib.ticker import MaxNLocator
 from evaluator.bench_model import BoardImage, ChessboardResult, RangingResult, SphereResult, SphereSeries
 from evaluator.camera_model import LENS_NAMES, undistort
 from evaluator.report.style import INK, SORTIE_COLOURS, figure
+from evaluator.report.texts import Texts
 from evaluator.results import correlation_matrix
 
 _GREY = "#6b7280"
@@ -16,6 +17,7 @@ _BAND_COLOURS = {"red": "#c0392b", "green": "#2e8b57", "blue": "#1b6ca8"}
 _VECTORS = 900  # drawn at most; all are in the means and in the scatter
 _MAP_STEPS = 60
 _CORNERS_OF_A_MEAN = 5  # fewer are noise, not a mean
+_ENGLISH = Texts("en")
 
 
 def _colour(index: int) -> str:
@@ -26,13 +28,13 @@ def _band_colour(name: str, index: int) -> str:
     return _BAND_COLOURS.get(name.lower(), _colour(index))
 
 
-def _draw_series(axes: Axes, series: SphereSeries, band: int, trend: bool) -> None:
+def _draw_series(axes: Axes, series: SphereSeries, band: int, trend: bool, t: Texts) -> None:
     """One band relative to its mean, with one standard deviation either way. [%]"""
     minutes = np.asarray(series.time_s) / 60.0
     values = np.asarray(series.dn)[:, band]
     mean = float(values.mean())
     if not mean > 0.0:
-        axes.set_title(f"{series.bands[band]}: mean {mean:.1f} DN, not above the black level", fontsize=8)
+        axes.set_title(t("band_black", band=series.bands[band], dn=mean), fontsize=8)
         return
     relative = 100.0 * (values / mean - 1.0)
     spread = float(relative.std(ddof=1)) if relative.size > 1 else 0.0
@@ -44,18 +46,18 @@ def _draw_series(axes: Axes, series: SphereSeries, band: int, trend: bool) -> No
     if trend and minutes.size > 2:
         slope, offset = np.polyfit(minutes, relative, 1)
         axes.plot(minutes, slope * minutes + offset, "--", color=INK, lw=1.0)
-        title += f"\ntrend {60.0 * slope:+.3f} %/h"
+        title += "\n" + t("trend", slope=60.0 * slope)
     axes.set_title(title, fontsize=8)
     axes.tick_params(labelsize=7)
 
 
-def sphere_series(result: SphereResult) -> Figure | None:
+def sphere_series(result: SphereResult, t: Texts = _ENGLISH) -> Figure | None:
     """Both series at the integrating sphere over time, a row for each band, and the lamp's trend in the longer one."""
     shown = [
         (series, title, trend)
         for series, title, trend in (
-            (result.stability_series, "Stability 稳定性", True),
-            (result.repeatability_series, "Repeatability 重复性", False),
+            (result.stability_series, t("stability"), True),
+            (result.repeatability_series, t("repeatability"), False),
         )
         if series is not None and np.size(series.dn)
     ]
@@ -69,12 +71,18 @@ def sphere_series(result: SphereResult) -> Figure | None:
         grid = column.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
         for band, axes in enumerate(grid):
             if band < len(series.bands):
-                _draw_series(axes, series, band, trend)
+                _draw_series(axes, series, band, trend, t)
             else:
                 axes.set_axis_off()
-        grid[len(series.bands) - 1].set_xlabel("time [min]", fontsize=8)
-        grid[len(series.bands) // 2].set_ylabel("DN − mean [% of mean]", fontsize=8)
+        grid[len(series.bands) - 1].set_xlabel(t("time_min"), fontsize=8)
+        grid[len(series.bands) // 2].set_ylabel(t("dn_minus_mean"), fontsize=8)
     return drawn
+
+
+def _distance(result: ChessboardResult, position: int, t: Texts) -> str:
+    """A position of the board by its distance, else by its number."""
+    known = position < len(result.distances_m)
+    return f"{result.distances_m[position]:.2f} m" if known else t("position", n=position + 1)
 
 
 def _residuals(images: tuple[BoardImage, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -112,7 +120,7 @@ def _cell_means(observed: np.ndarray, shift: np.ndarray, size: tuple[float, floa
     return (centre / shape * size)[seen], total[seen] / count[seen, None]
 
 
-def board_residuals(result: ChessboardResult) -> Figure | None:
+def board_residuals(result: ChessboardResult, t: Texts = _ENGLISH) -> Figure | None:
     """Residual vectors of the corners over the field, and their scatter about zero; one colour a distance."""
     if not result.images:
         return None
@@ -129,22 +137,22 @@ def board_residuals(result: ChessboardResult) -> Figure | None:
     upper.quiver(*observed[keep].T, *(shift[keep] * magnify).T, color=colours[keep], alpha=0.6, width=0.002, **arrows)
     centre, mean = _cell_means(observed, shift, size)
     upper.quiver(*centre.T, *(mean * magnify).T, color=INK, width=0.004, **arrows)
-    upper.set_title(f"Residual vectors 残差矢量 × {magnify:.0f}; black: means of cells", fontsize=9)
+    upper.set_title(t("cell_vectors", m=magnify), fontsize=9)
     reach = 1.1 * max(float(np.quantile(length, 0.999)), 1e-9)
     lower.axhline(0.0, color=_GREY, lw=0.8)
     lower.axvline(0.0, color=_GREY, lw=0.8)
     for p in np.unique(position):
         of = position == p
-        at = f"{result.distances_m[p]:.2f} m" if p < len(result.distances_m) else f"position {p + 1}"
+        at = _distance(result, int(p), t)
         lower.plot(*shift[of].T, ".", ms=2, color=_colour(int(p)), alpha=0.5, label=at, rasterized=True)
     lower.set(xlim=(-reach, reach), ylim=(reach, -reach), aspect="equal", xlabel="Δu [px]", ylabel="Δv [px]")
-    lower.set_title("projected − observed; colour: distance")
+    lower.set_title(t("projected_distance"))
     lower.xaxis.set_major_locator(MaxNLocator(5))
     lower.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), markerscale=4)
     return drawn
 
 
-def coverage(result: ChessboardResult) -> Figure | None:
+def coverage(result: ChessboardResult, t: Texts = _ENGLISH) -> Figure | None:
     """Corners in each cell of the field, one map a distance (9.2.2 d); a cell without any is marked."""
     if result.coverage is None or not np.size(result.coverage):
         return None
@@ -166,15 +174,15 @@ def coverage(result: ChessboardResult) -> Figure | None:
         for i, j in zip(*np.nonzero(counts[k] == 0)):
             axes.add_patch(Rectangle((j * cell[0], i * cell[1]), *cell, fill=False, hatch="///", ec="#b3261e", lw=0))
         axes.grid(False)
-        at = f"{result.distances_m[k]:.2f} m" if k < len(result.distances_m) else f"position {k + 1}"
-        axes.set_title(f"{at}: {int((counts[k] > 0).sum())} of {counts[k].size} cells", fontsize=9)
+        seen = int((counts[k] > 0).sum())
+        axes.set_title(t("cells", at=_distance(result, k, t), seen=seen, all=counts[k].size), fontsize=9)
         axes.tick_params(labelsize=7)
-    drawn.colorbar(picture, ax=list(grid), shrink=0.7, label="corners in a cell")
-    drawn.suptitle("Coverage 视场覆盖; hatched: none", fontsize=10, x=0.02, ha="left")
+    drawn.colorbar(picture, ax=list(grid), shrink=0.7, label=t("corners_in_cell"))
+    drawn.suptitle(t("hatched"), fontsize=10, x=0.02, ha="left")
     return drawn
 
 
-def distortion_map(result: ChessboardResult) -> Figure | None:
+def distortion_map(result: ChessboardResult, t: Texts = _ENGLISH) -> Figure | None:
     """How far the estimated lens moves an image point from where a distortion-free one puts it. [px]"""
     if result.lens is None or (result.image_size_px is None and not result.images):
         return None
@@ -205,12 +213,12 @@ def distortion_map(result: ChessboardResult) -> Figure | None:
     axes.quiver(u[some], v[some], shift[some][..., 0], shift[some][..., 1], color="white", angles="xy", width=0.003)
     _frame(axes, (width, height))
     axes.grid(False)
-    axes.set_title("Distortion as estimated 畸变图; cross: principal point")
-    drawn.colorbar(picture, ax=axes, shrink=0.8, label="distorted − ideal [px]")
+    axes.set_title(t("distortion_title"))
+    drawn.colorbar(picture, ax=axes, shrink=0.8, label=t("distorted_ideal"))
     return drawn
 
 
-def lens_correlations(result: ChessboardResult) -> Figure | None:
+def lens_correlations(result: ChessboardResult, t: Texts = _ENGLISH) -> Figure | None:
     """Correlation matrix of the nine parameters of the camera."""
     if result.covariance is None:
         return None
@@ -225,12 +233,12 @@ def lens_correlations(result: ChessboardResult) -> Figure | None:
     for i, j in zip(*np.nonzero(np.abs(np.tril(matrix, -1)) > 0.1)):
         colour = "white" if abs(matrix[i, j]) > 0.6 else INK
         axes.text(j, i, f"{matrix[i, j]:.2f}", ha="center", va="center", fontsize=7, color=colour)
-    axes.set_title("Correlations of the camera's parameters 相关系数")
+    axes.set_title(t("p_lens_correlations"))
     drawn.colorbar(picture, ax=axes, shrink=0.8)
     return drawn
 
 
-def image_errors(result: ChessboardResult) -> Figure | None:
+def image_errors(result: ChessboardResult, t: Texts = _ENGLISH) -> Figure | None:
     """Root mean square of the reprojection error of every accepted image, in the order of the log."""
     if not result.images:
         return None
@@ -241,19 +249,19 @@ def image_errors(result: ChessboardResult) -> Figure | None:
     axes.bar(np.arange(len(values)) + 1, values, color=colours, width=0.8)
     if result.indicator.value is not None:
         axes.axhline(result.indicator.value, color=INK, ls="--", lw=1.0)
-        axes.plot([], [], "--", color=INK, lw=1.0, label=f"M_z {result.indicator.value:.3f} px (mean of the norms)")
+        axes.plot([], [], "--", color=INK, lw=1.0, label=t("mean_of_norms", m=result.indicator.value))
     for p in sorted({i.position for i in result.images}):
-        at = f"{result.distances_m[p]:.2f} m" if p < len(result.distances_m) else f"position {p + 1}"
+        at = _distance(result, p, t)
         axes.plot([], [], "s", color=_colour(p), label=at)
     axes.grid(False, axis="x")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set(xlabel="accepted image", ylabel="RMS [px]", xlim=(0.3, len(values) + 0.7), ylim=(0, None))
-    axes.set_title("Reprojection error of each image 每幅影像重投影误差")
+    axes.set(xlabel=t("accepted_image"), ylabel="RMS [px]", xlim=(0.3, len(values) + 0.7), ylim=(0, None))
+    axes.set_title(t("image_errors"))
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3)
     return drawn
 
 
-def ranging_errors(result: RangingResult) -> Figure | None:
+def ranging_errors(result: RangingResult, t: Texts = _ENGLISH) -> Figure | None:
     """LiDAR minus total station over the distance, bars of one standard deviation of both.
 
     Above what the LiDAR reads minus the station that K2 and R2 come from, with their line; a panel that they leave out is hollow.
@@ -265,14 +273,14 @@ def ranging_errors(result: RangingResult) -> Figure | None:
     drawn = figure(5.3, 5.4)
     upper, lower = drawn.subplots(2, 1, sharex=True)
     for axes, use, value, colour, title in (
-        (upper, "correction", "lidar_m", "#d1603d", "Before the correction 改正前"),
-        (lower, "reference", "corrected_m", "#1b6ca8", "After the correction 改正后"),
+        (upper, "correction", "lidar_m", "#d1603d", t("before")),
+        (lower, "reference", "corrected_m", "#1b6ca8", t("after")),
     ):
         known = [p for p in result.panels if getattr(p, f"{use}_m") is not None and getattr(p, value) is not None]
-        station = names.get(use, "total station") if isinstance(names, dict) else "total station"
+        station = names.get(use, "total station") if isinstance(names, dict) else t("total_station")
         reading = float(noise.get(use, 0.0)) if isinstance(noise, dict) else 0.0
-        axes.set_title(f"{title}: LiDAR − {station}")
-        axes.set_ylabel("difference [mm]")
+        axes.set_title(f"{title}: {t('lidar')} − {station}")
+        axes.set_ylabel(t("difference_mm"))
         if not known:
             continue
         truth = np.array([getattr(p, f"{use}_m") for p in known], dtype=float)
@@ -292,5 +300,5 @@ def ranging_errors(result: RangingResult) -> Figure | None:
         line = -1000.0 * (result.additive_constant_m + result.multiplication_constant * span)
         upper.plot(span, line, "--", color=_GREY, lw=1.0, label="−K₂ − R₂ L")
         upper.legend(loc="best")
-    lower.set_xlabel("distance [m]")
+    lower.set_xlabel(t("distance"))
     return drawn

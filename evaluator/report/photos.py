@@ -1,4 +1,7 @@
-"""An image with every target's region and reprojection drawn, zooms of a few targets, and the composite picture of a run."""
+"""The composite picture of a run, for a README: an image with its targets, zooms, waveforms, reflectances and grades.
+
+The page's own images are made in `overlays`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,21 +11,20 @@ from typing import Any
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from campaign.errors import TestrangeError
 from campaign.images import read_preview
 from evaluator.c10_1_grading import GRADE_ZH, INDICATORS
 from evaluator.model import CampaignData
-from evaluator.report.plots import draw_reflectance, draw_waveform
+from evaluator.report.radiometry_plots import draw_reflectance, draw_waveform
 from evaluator.report.style import GRADE_COLOURS, INK, figure, style
+from evaluator.report.texts import Texts
 from evaluator.results import Evaluation, Residual, shown_decimals
 
 _REGION = "#ffd54a"
 _PANEL = "#5ad1ff"
 _PROJECTED = "#ff4d4d"
-_ZOOMS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,14 +96,6 @@ def draw_photo(axes: Axes, photo: Photo, evaluation: Evaluation, width: int, lab
     axes.set_axis_off()
 
 
-def annotated(photo: Photo, evaluation: Evaluation) -> Figure:
-    """One image with everything that was found and projected in it."""
-    drawn = figure(8.0, 8.0 * photo.pixels.shape[0] / photo.pixels.shape[1])
-    drawn.set_layout_engine("none")
-    draw_photo(drawn.add_axes((0.0, 0.0, 1.0, 1.0)), photo, evaluation, 1536)
-    return drawn
-
-
 def draw_zoom(axes: Axes, photo: Photo, residual: Residual, half_px: int) -> None:
     """The surroundings of one mark at full resolution: mark as observed (circle), vertex as projected (cross)."""
     height, width = photo.pixels.shape[:2]
@@ -123,26 +117,6 @@ def _half_window(evaluation: Evaluation, residuals: Sequence[Residual]) -> int:
     names = {r.target for r in residuals}
     radii = [m.radius_px for m in evaluation.marks if m.target in names]
     return int(max(16.0, 3.0 * float(np.median(radii)))) if radii else 30
-
-
-def zooms(photos: Sequence[Photo], evaluation: Evaluation) -> Figure | None:
-    """The three worst and the three most ordinary residuals among the photographs shown: trust the figure, or see why not."""
-    by_key = {(p.sortie, p.image): p for p in photos}
-    known = sorted(
-        (r for r in evaluation.residuals if (r.sortie, r.image) in by_key), key=lambda r: (r.error_px, r.target)
-    )
-    if not known:
-        return None
-    middle = len(known) // 2
-    ordinary = known[max(middle - 1, 0) : middle + 2]
-    chosen = list(dict.fromkeys((*(id(r) for r in ordinary), *(id(r) for r in known[-3:]))))[:_ZOOMS]
-    picked = [r for i in chosen for r in known if id(r) == i]
-    half = _half_window(evaluation, picked)
-    drawn = figure(5.3, 2.0 * ((len(picked) + 2) // 3))
-    for k, residual in enumerate(picked):
-        axes = drawn.add_subplot((len(picked) + 2) // 3, 3, k + 1)
-        draw_zoom(axes, by_key[residual.sortie, residual.image], residual, half)
-    return drawn
 
 
 def _grades(axes: Axes, evaluation: Evaluation) -> None:
@@ -196,7 +170,7 @@ def hero_picture(path: Path, evaluation: Evaluation) -> None:
         _grades(grades, evaluation)
         grades.set_title("simulated campaign" if evaluation.synthetic else "")
         reflectance = drawn.add_subplot(grid[1, 3])
-        draw_reflectance(reflectance, evaluation)
+        draw_reflectance(reflectance, evaluation, Texts("en"))
         row = grid[2, :].subgridspec(1, 5)
         places = [drawn.add_subplot(row[0, k]) for k in range(5)]
         near = [known[len(known) // 2], known[-1]] if known else []

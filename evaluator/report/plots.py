@@ -1,20 +1,34 @@
-"""Diagrams that need no photograph: layout, profile, waveforms, reflectance, residuals, correlations, truth against estimate."""
+"""Diagrams of the flight that need no photograph: layout, profile, residuals, correlations, truth and statement against estimate.
+
+Reflectances and waveforms: `radiometry_plots`. Words come from `texts`.
+"""
+
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
+from matplotlib.ticker import LogLocator, NullFormatter
 
-from evaluator.conformity.flight import strip_windows
+from evaluator.c10_1_grading import INDICATORS
+from evaluator.conformity.flight import acceleration, strip_windows
 from evaluator.conformity.model import ConformityInputs
+from evaluator.diagnosis import Deviation, family_limit
 from evaluator.frames import WorldFrame
-from evaluator.model import CampaignData
-from evaluator.report.style import INK, figure, sortie_colour
-from evaluator.results import Evaluation, WaveformExample, correlation_matrix
+from evaluator.model import CampaignData, SortieData
+from evaluator.report.style import GRADE_COLOURS, INK, figure, sortie_colour
+from evaluator.report.terms import parameter, short
+from evaluator.report.texts import Texts
+from evaluator.results import Evaluation, correlation_matrix
 from evaluator.score import Score
 
 _STEP_S = 0.25  # between drawn points of a track
-_LABELS = ("roll", "pitch", "yaw", "x", "y", "z")
+_GREY, _LIMIT = "#6b7280", "#b3261e"
+_MAX_SPEED_M_S = {"multirotor": 16.0, "fixed_wing": 30.0}  # 7.3 a
+_MAX_ACCELERATION_M_S2 = 2.5  # 7.3 c
+_HEIGHT_SHARE, _HEIGHT_M = 0.05, 5.0  # 7.4 b, c
+_LEAST_FIGURE = 0.3  # |correlation| from which it is printed
 
 
 def _oriented(half_x: float, half_y: float, heading_deg: float) -> np.ndarray:
@@ -24,20 +38,18 @@ def _oriented(half_x: float, half_y: float, heading_deg: float) -> np.ndarray:
     return np.asarray(corners @ np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]))
 
 
-def _fields_of_view(axes: Axes, data: CampaignData) -> None:
+def _fields_of_view(axes: Axes, data: CampaignData, t: Texts) -> None:
     """Camera frame, LiDAR swath and the ±45° cone on the ground, at the lowest design height and its first heading."""
     if data.plan is None or not data.plan.strips:
         return
     low = min(data.plan.strips, key=lambda s: s.height_m)
     height, heading = low.height_m, low.heading_deg
-    axes.add_patch(
-        Circle((0, 0), height, fill=False, ls=":", lw=1.2, color="#6b7280", label=f"±45° cone at {height:g} m")
-    )
+    axes.add_patch(Circle((0, 0), height, fill=False, ls=":", lw=1.2, color=_GREY, label=t("cone", h=height)))
     if data.camera is not None:
         scale = data.camera.pixel_size_um / data.camera.nominal_focal_length_mm / 2000.0 * height
         frame = _oriented(data.camera.width_px * scale, data.camera.height_px * scale, heading)
         axes.add_patch(
-            Polygon(frame, closed=True, fill=True, fc="#f4b94222", ec="#b97d00", lw=1.4, label="camera, nadir")
+            Polygon(frame, closed=True, fill=True, fc="#f4b94222", ec="#b97d00", lw=1.4, label=t("camera_frame"))
         )
     if data.lidar is not None:
         left, right = (height * np.tan(np.radians(np.clip(s, -80.0, 80.0))) for s in data.lidar.sector_deg)
@@ -46,136 +58,104 @@ def _fields_of_view(axes: Axes, data: CampaignData) -> None:
         across = np.array([np.cos(a), -np.sin(a)])
         for k, edge in enumerate((left, right)):
             ends = np.stack([across * edge - along, across * edge + along])
-            axes.plot(*ends.T, color="#7b4ea3", ls="--", lw=1.2, label=None if k else "LiDAR swath")
+            axes.plot(*ends.T, color="#7b4ea3", ls="--", lw=1.2, label=None if k else t("swath"))
 
 
-def layout(data: CampaignData) -> Figure:
+def layout(data: CampaignData, t: Texts) -> Figure:
     """Plan of the range: targets, fields of view, tracks and exposures."""
     frame = WorldFrame(data.manifest)
     drawn = figure(5.3, 5.6)
     axes = drawn.add_subplot()
-    _fields_of_view(axes, data)
+    _fields_of_view(axes, data, t)
     for sortie in data.sorties:
-        t = sortie.trajectory
-        if t is None or t.gps_time_s.size < 2:
+        flown = sortie.trajectory
+        if flown is None or flown.gps_time_s.size < 2:
             continue
         number, colour = sortie.folder.number, sortie_colour(sortie.folder.number)
-        time = np.arange(t.gps_time_s[0], t.gps_time_s[-1], _STEP_S)
-        world = frame.world_from_geodetic(t.latitude_rad, t.longitude_rad, t.ellipsoid_height_m)
-        east, north = (np.interp(time, t.gps_time_s, world[:, k]) for k in (0, 1))
-        axes.plot(east, north, color=colour, lw=0.9, alpha=0.7, label=f"sortie {number}")
+        time = np.arange(flown.gps_time_s[0], flown.gps_time_s[-1], _STEP_S)
+        world = frame.world_from_geodetic(flown.latitude_rad, flown.longitude_rad, flown.ellipsoid_height_m)
+        east, north = (np.interp(time, flown.gps_time_s, world[:, k]) for k in (0, 1))
+        axes.plot(east, north, color=colour, lw=0.9, alpha=0.7, label=t("sortie", n=number))
         exposed = np.array([e.gps_time_s for e in sortie.exposures])
         if exposed.size:
-            at = [np.interp(exposed, t.gps_time_s, world[:, k]) for k in (0, 1)]
+            at = [np.interp(exposed, flown.gps_time_s, world[:, k]) for k in (0, 1)]
             axes.plot(*at, "o", ms=3, color=colour, mec="white", mew=0.4)
-    for kind, marker, label in (("frustum", "s", "frustum target"), ("panel", "D", "reference panel")):
-        chosen = [t for t in data.targets if t.kind == kind]
+    for kind, marker, size, edge in (("frustum", "s", 34, _LIMIT), ("panel", "D", 22, INK), ("board", "X", 34, INK)):
+        chosen = [target for target in data.targets if target.kind == kind]
         if not chosen:
             continue
-        world = frame.world_from_map(np.array([[t.easting_m, t.northing_m, t.height_m] for t in chosen]))
+        world = frame.world_from_map(np.array([[c.easting_m, c.northing_m, c.height_m] for c in chosen]))
+        shade = [{"frustum": "none", "board": "#ffd54a"}.get(kind, "")] * len(chosen)
         if kind == "panel":
-            shade = [str(np.clip((t.nominal_reflectance_percent or 0.0) / 100.0, 0, 1)) for t in chosen]
-            axes.scatter(world[:, 0], world[:, 1], c=shade, marker=marker, s=22, ec=INK, lw=0.7, label=label, zorder=3)
-        else:
-            axes.scatter(
-                world[:, 0], world[:, 1], c="none", marker=marker, s=34, ec="#b3261e", lw=1.1, label=label, zorder=3
-            )
+            shade = [str(np.clip((c.nominal_reflectance_percent or 0.0) / 100.0, 0, 1)) for c in chosen]
+        x, y = world[:, 0], world[:, 1]
+        axes.scatter(x, y, c=shade, marker=marker, s=size, ec=edge, lw=0.9, label=t(kind), zorder=3)
     reach = min((s.height_m for s in data.plan.strips), default=40.0) if data.plan else 40.0
     axes.set(xlim=(-1.15 * reach, 1.15 * reach), ylim=(-1.15 * reach, 1.15 * reach), aspect="equal")
-    axes.set(
-        xlabel="east of the origin [m]",
-        ylabel="north of the origin [m]",
-        title="Layout and fields of view 靶标布设略图",
-    )
+    axes.set(xlabel=t("east"), ylabel=t("north"))
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3)
     return drawn
 
 
-def profile(evaluation: Evaluation, data: CampaignData) -> Figure:
-    """Height above the site's origin and ground speed over time, one column a sortie, strips shaded."""
-    flown = [s for s in data.sorties if s.trajectory is not None and s.trajectory.gps_time_s.size > 1]
-    drawn = figure(5.3, 3.4)
-    if not flown:
-        drawn.text(0.5, 0.5, "no trajectory", ha="center")
-        return drawn
-    grid = drawn.subplots(2, len(flown), sharex="col", sharey="row", squeeze=False)
+def profile(evaluation: Evaluation, data: CampaignData, sortie: SortieData, t: Texts) -> Figure | None:
+    """Height above the site's origin, ground speed and acceleration of one sortie over time, with the limits of 7.3 and 7.4."""
+    flown, number = sortie.trajectory, sortie.folder.number
+    if flown is None or flown.gps_time_s.size < 2:
+        return None
     windows = strip_windows(data, ConformityInputs(strip_window_s=evaluation.strip_window_s))
-    for column, sortie in enumerate(flown):
-        t = sortie.trajectory
-        assert t is not None
-        number = sortie.folder.number
-        time = np.arange(t.gps_time_s[0], t.gps_time_s[-1], _STEP_S)
-        height = np.interp(time, t.gps_time_s, t.ellipsoid_height_m - data.manifest.ellipsoid_height_m)
-        speed = np.interp(time, t.gps_time_s, np.hypot(*t.velocity_ned_m_s[:, :2].T))
-        colour = sortie_colour(number)
-        for axes, values in zip(grid[:, column], (height, speed)):
-            axes.plot(time - time[0], values, color=colour, lw=1.2)
-            for (owner, _), (start, end) in windows.items():
-                if owner == number:
-                    axes.axvspan(start - time[0], max(end, start + 0.5) - time[0], color=colour, alpha=0.12, lw=0)
-        grid[0, column].set_title(f"sortie {number}")
-        grid[1, column].set_xlabel("time [s]")
-    grid[0, 0].set_ylabel("height [m]")
-    grid[1, 0].set_ylabel("ground speed [m/s]")
-    grid[0, 0].set_ylim(bottom=0)
-    grid[1, 0].set_ylim(bottom=0)
+    mine = {strip: window for (owner, strip), window in windows.items() if owner == number}
+    design = {s.strip: s.height_m for s in data.plan.strips if s.sortie == number} if data.plan else {}
+    start = float(flown.gps_time_s[0])
+    time = np.arange(start, flown.gps_time_s[-1], _STEP_S)
+    height = np.interp(time, flown.gps_time_s, flown.ellipsoid_height_m - data.manifest.ellipsoid_height_m)
+    speed = np.interp(time, flown.gps_time_s, np.hypot(*flown.velocity_ned_m_s[:, :2].T))
+    change = acceleration(flown, slice(None))
+    drawn = figure(5.3, 5.0)
+    rows = drawn.subplots(3, 1, sharex=True, height_ratios=(3, 2, 2))
+    colour = sortie_colour(number)
+    at = np.interp(time, flown.gps_time_s[flown.gps_time_s.size - change.size :], change) if change.size else None
+    for axes, values in zip(rows, (height, speed, at)):
+        if values is not None:
+            axes.plot(time - start, values, color=colour, lw=1.1)
+        for low, high in mine.values():
+            axes.axvspan(low - start, max(high, low + 0.5) - start, color=colour, alpha=0.12, lw=0)
+    _height_limits(rows[0], mine, design, start, t)
+    kind = data.plan.aircraft_kind if data.plan else data.rig.kind if data.rig else None
+    limits = ((rows[1], _MAX_SPEED_M_S.get(kind or ""), "m/s"), (rows[2], _MAX_ACCELERATION_M_S2, "m/s²"))
+    for axes, limit, unit in limits:
+        if limit is not None:
+            axes.axhline(limit, color=_LIMIT, lw=1.0, ls="--", label=t("limit_is", v=limit, unit=unit))
+            axes.legend(loc="upper right", frameon=True, framealpha=0.8, edgecolor="none")
+            axes.set_ylim(0.0, 1.35 * max(limit, float(np.max(axes.lines[0].get_ydata()))))
+    rows[0].set_ylabel(t("height_m"))
+    rows[1].set_ylabel(t("speed"))
+    rows[2].set_ylabel(t("acceleration"))
+    rows[2].set_xlabel(t("time_s"))
     return drawn
 
 
-def draw_waveform(axes: Axes, example: WaveformExample) -> None:
-    """Samples as dots, the decomposition as a line."""
-    axes.plot(example.fit_time_ns, example.fit_dn, color="#d1603d", lw=1.4)
-    axes.plot(example.time_ns, example.samples_dn, ".", color="#1b6ca8", ms=4)
-    axes.set_title(example.label, fontsize=9)
+def _height_limits(
+    axes: Axes, windows: dict[int, tuple[float, float]], design: dict[int, float], start: float, t: Texts
+) -> None:
+    """Design height of each strip and how far 7.4 b and c let it go, the nearer of 5 % and 5 m."""
+    named = False
+    for strip, (low, high) in windows.items():
+        wanted = design.get(strip)
+        if wanted is None:
+            continue
+        reach, x = min(_HEIGHT_SHARE * wanted, _HEIGHT_M), np.array([low, max(high, low + 0.5)]) - start
+        axes.plot(x, [wanted, wanted], color=INK, lw=0.9)
+        for edge in (wanted - reach, wanted + reach):
+            axes.plot(x, [edge, edge], color=_LIMIT, lw=1.0, ls="--", label=None if named else t("design_height"))
+            named = True
+    if named:
+        axes.legend(loc="lower right", frameon=True, framealpha=0.8, edgecolor="none")
+        wanted_all = [design[s] for s in windows if s in design]
+        axes.set_ylim(min(wanted_all) - 9.0, max(wanted_all) + 9.0)
 
 
-def waveforms(examples: tuple[WaveformExample, ...]) -> Figure:
-    """Received waveforms and their fits, one panel of each reflectance."""
-    shown = examples[:6]
-    rows = (len(shown) + 1) // 2
-    drawn = figure(5.3, 1.5 * rows + 0.4)
-    for k, example in enumerate(shown):
-        axes = drawn.add_subplot(rows, 2, k + 1)
-        draw_waveform(axes, example)
-        if k % 2 == 0:
-            axes.set_ylabel("DN")
-        if k >= len(shown) - 2:
-            axes.set_xlabel("time [ns]")
-    return drawn
-
-
-def draw_reflectance(axes: Axes, evaluation: Evaluation) -> None:
-    """R1 against R2 of every panel, with the line of equality."""
-    both = [p for p in evaluation.panels if p.lidar_percent is not None and p.camera_percent is not None]
-    x, y = np.array([[p.camera_percent, p.lidar_percent] for p in both], dtype=float).reshape(-1, 2).T
-    top = max(105.0, *x, *y) if both else 105.0
-    axes.plot([0, top], [0, top], color="#6b7280", lw=1, ls="--")
-    axes.plot(x, y, "o", color="#1b6ca8", ms=5, mec="white", mew=0.6)
-    axes.set(xlabel="camera R₂ [%]", ylabel="LiDAR R₁ [%]", aspect="equal", xlim=(0, top), ylim=(0, top))
-
-
-def reflectance(evaluation: Evaluation) -> Figure:
-    """LiDAR against camera, and both minus the spectrometer."""
-    drawn = figure(5.3, 6.0)
-    upper, lower = drawn.subplots(2, 1, height_ratios=(3, 2))
-    draw_reflectance(upper, evaluation)
-    upper.set_title("LiDAR against camera 反射率相关性")
-    laser = [(p.lidar_percent, p.laser_reference_percent) for p in evaluation.panels]
-    band = [(p.camera_percent, p.band_reference_percent) for p in evaluation.panels]
-    for colour, name, pairs in (
-        ("#7b4ea3", "LiDAR − spectrometer at the laser line", laser),
-        ("#b97d00", "camera − spectrometer over the band", band),
-    ):
-        known = np.array([(r, v - r) for v, r in pairs if v is not None and r is not None]).reshape(-1, 2)
-        lower.plot(*known.T, "o", ms=4, color=colour, alpha=0.8, label=name)
-    lower.axhline(0.0, color="#6b7280", lw=1)
-    lower.set(xlabel="spectrometer [%]", ylabel="difference [%]")
-    lower.legend(loc="upper center", bbox_to_anchor=(0.5, -0.3))
-    return drawn
-
-
-def residual_vectors(evaluation: Evaluation) -> Figure:
+def residual_vectors(evaluation: Evaluation, t: Texts) -> Figure:
     """Residuals of formula (24) where they stand in the image, magnified, and their spread about zero."""
     observed = np.array([r.observed_px for r in evaluation.residuals]).reshape(-1, 2)
     shift = np.array([r.projected_px for r in evaluation.residuals]).reshape(-1, 2) - observed
@@ -187,61 +167,142 @@ def residual_vectors(evaluation: Evaluation) -> Figure:
     length = np.hypot(*shift.T)
     unit = max(float(np.median(length)), 1e-6)
     magnify = 0.05 * size[0] / unit
-    upper.add_patch(Rectangle((0, 0), size[0], size[1], fill=False, ec="#6b7280"))
+    upper.add_patch(Rectangle((0, 0), size[0], size[1], fill=False, ec=_GREY))
     upper.quiver(*observed.T, *(shift * magnify).T, color=colours, angles="xy", scale_units="xy", scale=1, width=0.003)
-    upper.set(xlim=(-60, size[0] + 60), ylim=(size[1] + 60, -60), aspect="equal", xlabel="u [px]", ylabel="v [px]")
-    upper.set_title(f"residual vectors × {magnify:.0f}")
-    reach = 1.15 * max(float(length.max()), 1e-6)
-    lower.axhline(0.0, color="#6b7280", lw=0.8)
-    lower.axvline(0.0, color="#6b7280", lw=0.8)
-    lower.scatter(*shift.T, c=colours, s=12, alpha=0.7, lw=0)
-    lower.set(xlim=(-reach, reach), ylim=(reach, -reach), aspect="equal", xlabel="Δu [px]", ylabel="Δv [px]")
-    lower.set_title("projected − observed; colour: sortie")
+    pad = 0.02 * size[0]
+    upper.set(xlim=(-pad, size[0] + pad), ylim=(size[1] + pad, -pad), aspect="equal", xlabel="u [px]", ylabel="v [px]")
+    upper.set_title(t("vectors", m=magnify))
+    _scatter_about_zero(lower, shift, colours, np.ones(len(shift), dtype=bool))
+    lower.set_title(t("projected_minus"))
     return drawn
 
 
-def correlations(evaluation: Evaluation) -> Figure | None:
+def _scatter_about_zero(axes: Axes, shift: np.ndarray, colours: Sequence[str], used: np.ndarray) -> None:
+    reach = 1.15 * max(float(np.abs(shift).max(initial=0.0)), 1e-6)
+    axes.axhline(0.0, color=_GREY, lw=0.8)
+    axes.axvline(0.0, color=_GREY, lw=0.8)
+    faces = [c if u else "none" for c, u in zip(colours, used)]
+    axes.scatter(shift[:, 0], shift[:, 1], c=faces, ec=list(colours), s=14, alpha=0.7, lw=0.8)
+    axes.set(xlim=(-reach, reach), ylim=(reach, -reach), aspect="equal", xlabel="Δu [px]", ylabel="Δv [px]")
+
+
+def board_residuals(evaluation: Evaluation, t: Texts) -> Figure | None:
+    """Residuals of the 2x2 boards' centres about zero."""
+    rows = evaluation.boards.get("residuals")
+    if not isinstance(rows, list | tuple) or not rows:
+        return None
+    shift = np.array([[r["du_px"], r["dv_px"]] for r in rows], dtype=np.float64)
+    drawn = figure(5.3, 4.6)
+    axes = drawn.add_subplot()
+    colours = [sortie_colour(r["sortie"]) for r in rows]
+    _scatter_about_zero(axes, shift, colours, np.array([bool(r["used"]) for r in rows]))
+    for number in sorted({r["sortie"] for r in rows}):
+        axes.plot([], [], "o", color=sortie_colour(number), label=t("sortie", n=number))
+    axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
+    axes.set_title(t("observed_minus"))
+    return drawn
+
+
+def target_errors(evaluation: Evaluation, t: Texts) -> Figure | None:
+    """P_i of each target as adjusted and held out, against table 3."""
+    companions = evaluation.indicator("calibration_error").companions
+    adjusted, held = companions.get("per_target_px"), companions.get("held_out_per_target_px")
+    if not isinstance(adjusted, dict) or not adjusted:
+        return None
+    names = sorted(adjusted)
+    drawn = figure(5.3, 3.4)
+    axes = drawn.add_subplot()
+    place = np.arange(len(names))
+    axes.bar(place, [adjusted[n] for n in names], color="#1b6ca8", width=0.7, alpha=0.85, label=t("adjusted"))
+    if isinstance(held, dict):
+        known = [k for k, n in enumerate(names) if held.get(n) is not None]
+        axes.plot(known, [held[names[k]] for k in known], "o", mfc="white", mec=INK, ms=4.5, label=t("held_out"))
+    top = axes.get_ylim()[1]
+    for bound, grade in zip(INDICATORS["calibration_error"].bounds, ("excellent", "good", "fair")):
+        if bound < 2.5 * top:
+            axes.axhline(bound, color=GRADE_COLOURS[grade], lw=1.0, ls="--")  # type: ignore[index]
+    axes.grid(False, axis="x")
+    axes.set_xticks(place, names, rotation=90)
+    axes.set(ylabel="P_i [px]", xlim=(-0.7, len(names) - 0.3))
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.14), ncols=2)
+    return drawn
+
+
+def correlation_figure(
+    matrix: np.ndarray, names: Sequence[str], least: float = _LEAST_FIGURE, height_in: float = 5.0
+) -> Figure:
+    """A correlation matrix with figures where |correlation| is above `least`."""
+    drawn = figure(5.3, height_in)
+    axes = drawn.add_subplot()
+    picture = axes.imshow(matrix, vmin=-1, vmax=1, cmap="RdBu_r")
+    axes.set_xticks(range(len(names)), names, rotation=90)
+    axes.set_yticks(range(len(names)), names)
+    axes.grid(False)
+    for i, j in zip(*np.nonzero(np.abs(np.tril(matrix, -1)) > least)):
+        colour = "white" if abs(matrix[i, j]) > 0.6 else INK
+        text = f"{matrix[i, j]:.2f}".replace("0.", ".", 1)
+        axes.text(j, i, text, ha="center", va="center", fontsize=6.5, color=colour)
+    drawn.colorbar(picture, ax=axes, shrink=0.7, pad=0.02)
+    return drawn
+
+
+def correlations(evaluation: Evaluation, t: Texts) -> Figure | None:
     """Correlation matrix of the mounting parameters, and of the clocks where they were estimated."""
     solution = evaluation.mounting
     if solution is None:
         return None
-    matrix = correlation_matrix(solution.covariance)
-    drawn = figure(5.3, 5.0)
-    axes = drawn.add_subplot()
-    picture = axes.imshow(matrix, vmin=-1, vmax=1, cmap="RdBu_r")
-    names = [f"{s} {n}" for s in ("cam", "lidar") for n in _LABELS]
-    names += [n.replace("camera", "cam").replace("_", " ") for n in solution.names[12:]]
-    axes.set_xticks(range(len(names)), names, rotation=90)
-    axes.set_yticks(range(len(names)), names)
-    axes.grid(False)
-    for i, j in zip(*np.nonzero(np.abs(np.tril(matrix, -1)) > 0.3)):
-        axes.text(
-            j,
-            i,
-            f"{matrix[i, j]:.2f}",
-            ha="center",
-            va="center",
-            fontsize=6,
-            color="white" if abs(matrix[i, j]) > 0.6 else INK,
-        )
-    axes.set_title("Correlation of the mounting parameters")
-    drawn.colorbar(picture, ax=axes, shrink=0.7)
-    return drawn
+    return correlation_figure(correlation_matrix(solution.covariance), [short(n, t.language) for n in solution.names])
 
 
-def truth_errors(score: Score) -> Figure:
+def block_correlations(block: object, t: Texts) -> Figure | None:
+    """The same of a block of results.json with `names` and `correlation` or `covariance`."""
+    if not isinstance(block, dict) or "names" not in block:
+        return None
+    matrix = block.get("correlation")
+    if matrix is None and block.get("covariance") is not None:
+        matrix = correlation_matrix(np.array(block["covariance"], dtype=np.float64))
+    if matrix is None:
+        return None
+    return correlation_figure(
+        np.array(matrix, dtype=np.float64), [short(n, t.language) for n in block["names"]], 0.1, 4.4
+    )
+
+
+def truth_errors(score: Score, t: Texts) -> Figure | None:
     """Error of each estimate in units of its stated standard deviation."""
     items = [i for i in score.items if i.z is not None]
+    if not items:
+        return None
     drawn = figure(5.3, 0.24 * len(items) + 0.9)
     axes = drawn.add_subplot()
     z = np.array([i.z for i in items], dtype=float)
     place = np.arange(len(items))[::-1]
     axes.axvspan(-2, 2, color="#1a7f4b", alpha=0.12, lw=0)
-    axes.axvline(0, color="#6b7280", lw=0.8)
+    axes.axvline(0, color=_GREY, lw=0.8)
     axes.hlines(place, 0, z, color="#1b6ca8", lw=1.4)
     axes.plot(z, place, "o", color="#1b6ca8", ms=4)
-    axes.set_yticks(place, [i.quantity.replace("_", " ") for i in items])
-    reach = max(3.0, 1.1 * float(np.abs(z).max())) if len(items) else 3.0
-    axes.set(xlim=(-reach, reach), xlabel="z = (estimate − truth) / standard deviation")
-    axes.set_title("Truth against estimate; shaded: ±2")
+    axes.set_yticks(place, [parameter(i.quantity, t.language) for i in items])
+    reach = max(3.0, 1.1 * float(np.abs(z).max()))
+    axes.set(xlim=(-reach, reach), ylim=(-0.7, len(items) - 0.3), xlabel=t("z_axis"))
+    axes.set_title(t("truth_title"))
+    return drawn
+
+
+def deviation_bars(rows: Sequence[Deviation], t: Texts) -> Figure | None:
+    """|z| of every parameter against what was stated of it, and the limit for all together."""
+    if not rows:
+        return None
+    limit = family_limit(len(rows))
+    size = np.maximum(np.abs([r.z for r in rows]), 0.05)
+    drawn = figure(5.3, 0.24 * len(rows) + 0.8)
+    axes = drawn.add_subplot()
+    place = np.arange(len(rows))[::-1]
+    axes.barh(place, size, left=0.04, color=[_LIMIT if s > limit else "#1b6ca8" for s in size], height=0.62, alpha=0.85)
+    axes.axvline(limit, color=INK, ls="--", lw=1.0)
+    axes.set_yticks(place, [parameter(r.quantity, t.language) for r in rows])
+    axes.set_xscale("log")
+    axes.set(xlim=(0.04, 2.0 * max(10.0, float(size.max()))), ylim=(-0.7, len(rows) - 0.3), xlabel=t("abs_z"))
+    axes.xaxis.set_major_locator(LogLocator(numticks=8))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.grid(False, axis="y")
     return drawn

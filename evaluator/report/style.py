@@ -79,6 +79,11 @@ def _uri(kind: str, content: bytes) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
+def image_uri(jpeg: bytes) -> str:
+    """A JPEG as data URI."""
+    return _uri("image/jpeg", jpeg)
+
+
 def svg_uri(drawn: Figure) -> str:
     """The figure as SVG without a date: the same figure, the same bytes."""
     buffer = io.BytesIO()

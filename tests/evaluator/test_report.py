@@ -1,5 +1,6 @@
-"""The report: self-contained, escaped, small, the same bytes twice, and complete."""
+"""The report: self-contained, escaped, small, the same bytes twice, complete, and in two languages with the same numbers."""
 
+import base64
 import html
 import re
 from dataclasses import replace
@@ -13,11 +14,20 @@ from campaign.errors import TestrangeError
 from evaluator.conformity import Row
 from evaluator.model import CampaignData
 from evaluator.report import hero_picture, write_report
+from evaluator.report import pictures as page_pictures
+from evaluator.report.overlays import shots, spots_by_image
 from evaluator.report.photos import choose_images
+from evaluator.report.texts import TABLE, Texts
 from evaluator.results import Evaluation
 from evaluator.score import Score, ScoreItem
 
 NO_FIGURES = {"waveforms": (), "panels": (), "residuals": (), "mounting": None}
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made, but not written as SVG: seconds for tests that look at the words."""
+    monkeypatch.setattr(page_pictures, "svg_uri", lambda figure: "data:image/svg+xml;base64,")
 
 
 def made_up_score() -> Score:
@@ -30,73 +40,207 @@ def made_up_score() -> Score:
     )
 
 
+def words(path: Path) -> str:
+    """The page without its pictures and markup."""
+    text = re.sub(r"<style>.*?</style>|data:[^\"')]+", "", path.read_text(), flags=re.S)
+    return html.unescape(re.sub(r"<[^>]+>", " ", text))
+
+
 def test_complete_report(previews: CampaignData, evaluation: Evaluation, tmp_path: Path) -> None:
-    """Rationale: a person reads the test in this one file, offline. Expected: every indicator in both languages with its grade,
-    every conformity row, both photographs, the score; no address outside the file; under 10 MB; the same bytes
+    """Rationale: a person reads the test in this one file, offline. Expected: every indicator with its grade, every conformity row,
+    both photographs with their enlarged targets, the score; no address outside the file, no script; under 10 MB; the same bytes
     twice. Tolerance: none."""
     path = tmp_path / "report.html"
     tight = np.full(12, 1e-4)  # priors that no flight beats: every parameter is "not determined"
     evaluation = replace(evaluation, mounting_prior_std=tight)
-    write_report(path, evaluation, made_up_score())
+    write_report(path, evaluation, made_up_score(), "en")
     text = path.read_text()
     plain = html.unescape(text)
     for word in (
-        "反射率中误差",
         "LiDAR reflectance RMSE",
-        "优 · excellent",
-        "未测",
+        "excellent",
+        "not measured",
         "1.23",
         "0.500",
-        "Simulated campaign",
+        "Synthetic data of a virtual range",
     ):
         assert word in plain
     for row in evaluation.conformity:
         assert row.requirement in plain
         assert row.measured in plain
-    assert text.count("data:image/jpeg") == 3  # two annotated images and the zooms
-    assert text.count("data:image/svg+xml") == 7
+    assert text.count("data:image/jpeg") == 4  # two images, and a sheet of enlarged targets for each
+    assert text.count("data:image/svg+xml") == 9
     assert "camera boresight roll" in text
     assert "+1.03" in text
     assert plain.count("not determined: ρ = ") == 12
-    assert re.findall(r"(?:src|href|url)\s*[=(]\s*[\"']?(?!data:)[^\s\"')]+", text) == []
+    assert re.findall(r"(?:src|href|url)\s*[=(]\s*[\"']?(?!data:|#)[^\s\"')]+", text) == []
     assert "<script" not in text
+    assert "default-src 'none'" in text
     assert str(evaluation.root) not in text
     assert len(text) < 10e6
-    write_report(path, evaluation, made_up_score())
+    write_report(path, evaluation, made_up_score(), "en")
     assert path.read_text() == text
 
 
-def test_markup_is_escaped(evaluation: Evaluation, tmp_path: Path) -> None:
-    """Rationale: a campaign folder is somebody else's text. Expected: a script in a record arrives as characters."""
+@pytest.mark.usefixtures("quick")
+def test_two_languages_one_set_of_numbers(previews: CampaignData, evaluation: Evaluation, tmp_path: Path) -> None:
+    """Rationale: Chinese is the default; a translation must not change a figure. Expected: Chinese headings and grades, no English
+    heading, the same numbers in the same order as the English page once both are stripped of words. Tolerance: none."""
+    pages = {}
+    for language in ("zh", "en"):
+        write_report(tmp_path / "r.html", evaluation, made_up_score(), language)
+        pages[language] = words(tmp_path / "r.html")
+    assert "检测结果" in pages["zh"] and "安置参数" in pages["zh"] and "相机 安置角误差 横滚" in pages["zh"]
+    assert "Indicators and grades" not in pages["zh"] and "检测结果" not in pages["en"]
+    figures = {k: re.findall(r"[+-]?\d+\.\d{2,}", page) for k, page in pages.items()}
+    assert figures["zh"] == figures["en"]
+    assert len(figures["zh"]) > 80
+    write_report(tmp_path / "r.html", evaluation, made_up_score())
+    assert words(tmp_path / "r.html") == pages["zh"]
+
+
+def test_every_text_is_there_twice() -> None:
+    """Rationale: one table of texts. Expected: each key with Chinese and English (a note may be empty in one), the same fields
+    in both, and only keys that the table has are asked for by the template."""
+    field = re.compile(r"{(\w+)")
+    for key, (zh, en) in TABLE.items():
+        assert zh or en, key
+        if zh and en:
+            assert sorted(field.findall(zh)) == sorted(field.findall(en)), key
+    template = Path(page_pictures.__file__).with_name("template.html.j2").read_text()
+    asked = set(re.findall(r"\bt\(\"(\w+)\"\s*[,)]", template))
+    assert len(asked) > 60
+    assert asked <= set(TABLE)
+    with pytest.raises(KeyError):
+        Texts("zh")("no such key")
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("language", ["zh", "en"])
+def test_markup_is_escaped(evaluation: Evaluation, tmp_path: Path, language: str) -> None:
+    """Rationale: a campaign folder is somebody else's text. Expected: a script in a record, in the campaign's name and in the
+    boards' block arrives as characters; a name that looks like the page's own place marker moves nothing."""
     evil = "<script>alert(1)</script>"
     row = Row(clause="7.1 a", requirement="aircraft", measured=evil, limit="<b>", status="pass")
-    write_report(
-        tmp_path / "r.html", replace(evaluation, conformity=(row,), problems=(evil,), data=None, **NO_FIGURES), None
+    boards = {"status": "not_measured", "reason": evil, "not_in_images": {evil: evil}}
+    page = replace(
+        evaluation,
+        campaign=f"{evil}/*font*/",
+        conformity=(row,),
+        problems=(evil,),
+        boards=boards,
+        data=None,
+        **NO_FIGURES,  # type: ignore[arg-type]
     )
+    write_report(tmp_path / "r.html", page, None, language)  # type: ignore[arg-type]
     text = (tmp_path / "r.html").read_text()
     assert "<script" not in text
-    assert text.count(html.escape(evil)) == 2
+    assert text.count(html.escape(evil)) >= 5
+    assert text.index("@font-face") < text.index("</style>")
 
 
+@pytest.mark.usefixtures("quick")
 def test_bare_report(evaluation: Evaluation, bare_data: CampaignData, tmp_path: Path) -> None:
-    """Rationale: a campaign of which nothing could be measured has a report too. Expected: eight times 未测 and no picture,
-    no heading without one; a field campaign is not called simulated."""
+    """Rationale: a campaign of which nothing could be measured has a report too, which says so. Expected: each indicator is listed
+    as not measured with its reason and what it needs; the parts of the folder are "none"; no picture; a field campaign is not
+    called simulated."""
     nothing = Evaluation(campaign="empty", synthetic=False, indicators={}, data=bare_data, mounting_reason="no targets")
     write_report(tmp_path / "r.html", nothing, None)
     text = (tmp_path / "r.html").read_text()
-    assert text.count("未测 · not measured</span>\n") == 8
-    assert "Simulated campaign" not in text
-    assert "Not measured: no targets" in text
+    assert text.count('class="grade not_measured"') == 8 + 6 + 8  # cards, groups, sections
+    assert "8 项指标中已测 0 项" in text
+    assert text.count("检测中没有 bench/chessboard") == 3  # card, list of what is missing, section
+    assert "bench/chessboard 的影像、board.json 与 log.csv" in text
+    assert text.count('<td class="s-warning">无</td>') == 8
+    assert "仿真" not in words(tmp_path / "r.html")
+    assert "未测: no targets" in text
     assert "data:image/" not in text
-    assert "<h2>Pictures</h2>" not in text
+    assert 'id="flight"' not in text and 'id="images"' not in text
 
 
 def test_missing_preview_is_said(evaluation: Evaluation, tmp_path: Path) -> None:
-    """Rationale: previews are optional. Expected: the report says which one is missing and draws the rest."""
-    write_report(tmp_path / "r.html", replace(evaluation, **NO_FIGURES), None)
+    """Rationale: images may be missing on disk. Expected: each is named with the reason and the rest is drawn."""
+    write_report(tmp_path / "r.html", replace(evaluation, **NO_FIGURES), None, "en")  # type: ignore[arg-type]
     text = (tmp_path / "r.html").read_text()
-    assert text.count("No picture:") == 2
+    assert evaluation.data is not None
+    assert text.count("No picture: sorties/") == sum(len(s.exposures) for s in evaluation.data.sorties)
     assert "data:image/svg+xml" in text
+
+
+def _decoded(uri: str) -> np.ndarray:
+    found = cv2.imdecode(np.frombuffer(base64.b64decode(uri.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)
+    assert found is not None
+    return found
+
+
+def test_each_image_with_all_its_targets(previews: CampaignData, evaluation: Evaluation) -> None:
+    """Rationale: a person believes a residual who sees the mark. Expected: every exposure once, in order; marks, vertices and
+    regions as the evaluation holds them; in the sheet a cell for each target with its dark mark in the middle.
+    Tolerance: half a pixel of the original in the cell, the crop is made of whole pixels."""
+    found = list(shots(evaluation))
+    exposed = [(s.folder.number, e.image) for s in previews.sorties for e in s.exposures]
+    assert [(s.sortie, s.image) for s in found] == exposed
+    shown = [s for s in found if not s.reason]
+    assert [s.image for s in shown] == ["s01_000.tif", "s02_000.tif"]
+    for shot in shown:
+        mine = {r.target: r for r in evaluation.residuals if r.image == shot.image}
+        assert {s.target for s in shot.spots if s.kind == "frustum"} == set(mine)
+        assert shot.mean_error_px == pytest.approx(np.mean([r.error_px for r in mine.values()]))
+        sheet = _decoded(shot.sheet_uri)
+        assert sheet.shape[:2] == (shot.sheet_height, shot.sheet_width)
+        for zoom in shot.zooms:
+            if zoom.kind != "frustum":
+                continue
+            assert zoom.observed is not None
+            assert np.hypot(zoom.observed[0] - zoom.x - 64, zoom.observed[1] - zoom.y - 64) < 4.0
+            assert sheet[int(zoom.observed[1]), int(zoom.observed[0])].max() < 80
+        assert _decoded(shot.uri).shape[1] <= shot.width_px
+
+
+def test_raw_image_in_the_place_of_a_preview(previews: CampaignData, evaluation: Evaluation) -> None:
+    """Rationale: a field campaign may hold TIFFs alone. Expected: the image itself, stretched: dark stays dark, bright becomes
+    bright, and the page says where it comes from."""
+    import tifffile
+
+    assert previews.camera is not None
+    sheet = previews.camera
+    folder = previews.sorties[0].folder.images
+    (folder / "s01_000.jpg").unlink()
+    dn = np.full((sheet.height_px, sheet.width_px, len(sheet.bands)), 400, np.uint16)
+    dn[: sheet.height_px // 2] = 2000
+    tifffile.imwrite(folder / "s01_000.tif", dn, photometric="rgb" if len(sheet.bands) == 3 else "minisblack")
+    first = next(iter(shots(evaluation)))
+    assert first.raw and not first.reason
+    picture = _decoded(first.uri)
+    assert picture[5].mean() > 240 and picture[-5].mean() < 160
+
+
+def test_budget_of_a_full_size_campaign(
+    previews: CampaignData, evaluation: Evaluation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: 48 images of 45 megapixels must fit into 30 MB; noise is the worst that JPEG can meet. Expected: with fewer
+    exposures and a smaller budget the JPEGs stay within it (base64 adds a third), none is left out."""
+    from evaluator.report import overlays
+
+    sortie = previews.sorties[0]
+    exposures = tuple(
+        replace(sortie.exposures[0], image=f"n{k:02d}.tif", gps_time_s=sortie.exposures[0].gps_time_s + k)
+        for k in range(8)
+    )
+    many = replace(previews, sorties=(replace(sortie, exposures=exposures),))
+    rng = np.random.default_rng(5)
+    noise = rng.integers(0, 255, (600, 800, 3), dtype=np.uint8)
+    sheet = many.camera.model_copy(update={"width_px": 800, "height_px": 600})  # type: ignore[union-attr]
+    monkeypatch.setattr(overlays, "_PHOTO_BUDGET", 600_000)
+    monkeypatch.setattr(overlays, "_ZOOM_BUDGET", 300_000)
+    monkeypatch.setattr(overlays, "_pixels", lambda *_: (noise, False))
+    spots = spots_by_image(evaluation)[(1, "s01_000.tif")]
+    monkeypatch.setattr(overlays, "spots_by_image", lambda _: {(1, e.image): spots for e in exposures})
+    found = list(shots(replace(evaluation, data=replace(many, camera=sheet))))
+    assert len(found) == 8
+    total = sum(len(s.uri) + len(s.sheet_uri) for s in found)
+    assert total < 0.9e6 * 4 / 3 * 1.01
+    assert _decoded(found[0].uri).shape[1] >= 300
 
 
 def test_image_with_most_targets(evaluation: Evaluation) -> None:

@@ -14,7 +14,7 @@ from evaluator.bench_model import ChessboardResult, RangingResult, SphereResult
 from evaluator.conformity import ConformityInputs, conformity_rows
 from evaluator.model import CampaignData
 from evaluator.report import bench_plots, write_report
-from evaluator.report import html as html_page
+from evaluator.report import pictures as page_pictures
 from evaluator.report.style import style
 from evaluator.results import Evaluation, build_results, shown_decimals
 from evaluator.results_model import IndicatorValue, not_measured
@@ -59,7 +59,7 @@ def bench_evaluation(
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures are made, but not written as SVG: seconds for tests that look at the words."""
-    monkeypatch.setattr(html_page, "svg_uri", lambda figure: "data:image/svg+xml;base64,")
+    monkeypatch.setattr(page_pictures, "svg_uri", lambda figure: "data:image/svg+xml;base64,")
 
 
 def drawn(draw: Callable[[], Figure | None]) -> Figure:
@@ -82,19 +82,19 @@ def test_all_eight_in_one_report(bench_evaluation: Evaluation, tmp_path: Path) -
     without a value, six graded groups, the optical one by the lower of its two; the seven pictures of benches and line; fx and K2
     with standard deviations; the image and the panel that were not used, with the reason; the same bytes twice."""
     path = tmp_path / "r.html"
-    write_report(path, bench_evaluation, None)
+    write_report(path, bench_evaluation, None, "en")
     text = path.read_text()
     plain = html.unescape(text)
-    assert "未测 · not measured" not in plain
+    assert 'class="grade not_measured"' not in plain
     assert plain.count("value, unrounded") == 8
     for title in (
-        "Integrating sphere 积分球",
-        "Chessboard residuals 重投影残差",
-        "Coverage 视场覆盖",
-        "Distortion 畸变",
-        "Camera correlations 内参相关系数",
-        "Images of the chessboard 各影像误差",
-        "Ranging line 测距误差",
+        "Integrating sphere",
+        "Chessboard residuals",
+        "Coverage",
+        "Distortion",
+        "Camera correlations",
+        "Images of the chessboard",
+        "Ranging line",
     ):
         assert f"<b>{title}</b>" in plain
     for cell in ("<td>fx</td>", "3000.240", "0.040", "-0.046870", "0.000060", "0.05020", "0.00080", "0.0002010"):
@@ -103,7 +103,7 @@ def test_all_eight_in_one_report(bench_evaluation: Evaluation, tmp_path: Path) -
     assert "L07: no point of it in 3 of 5 scans" in plain
     assert 'class="value">0.037 <small>%' in plain  # RSD: two digits, not 0.04
     assert 'class="value">0.00048 <small>%' in plain
-    write_report(path, bench_evaluation, None)
+    write_report(path, bench_evaluation, None, "en")
     assert path.read_text() == text
 
 
@@ -122,8 +122,8 @@ def test_groups_by_the_lower_indicator(bench_evaluation: Evaluation) -> None:
 @pytest.mark.parametrize("missing", ["sphere", "chessboard", "ranging"])
 def test_half_a_bench(bench_evaluation: Evaluation, tmp_path: Path, missing: str) -> None:
     """Rationale: any subset is reported. Expected: the pictures of the other parts and none of the missing."""
-    names = {"sphere": "积分球", "chessboard": "视场覆盖", "ranging": "测距误差"}
-    write_report(tmp_path / "r.html", replace(bench_evaluation, **{missing: None}), None)
+    names = {"sphere": "Integrating sphere", "chessboard": "Coverage", "ranging": "Ranging line"}
+    write_report(tmp_path / "r.html", replace(bench_evaluation, **{missing: None}), None, "en")
     text = (tmp_path / "r.html").read_text()
     for part, name in names.items():
         assert (f"{name}</b>" in text) == (part != missing)
@@ -142,12 +142,12 @@ def test_nothing_could_be_measured(bench_evaluation: Evaluation, tmp_path: Path)
         chessboard=ChessboardResult(indicator=pixel),
         ranging=RangingResult(indicator=none),
     )
-    write_report(tmp_path / "r.html", spoiled, None)
+    write_report(tmp_path / "r.html", spoiled, None, "en")
     text = (tmp_path / "r.html").read_text()
     assert "all images saturated" in text
     assert "only 7 images" in text
-    assert "积分球</b>" not in text
-    assert "Sensors on the bench" not in text
+    assert "Integrating sphere</b>" not in text
+    assert "LiDAR ranging constants" not in text
 
 
 @pytest.mark.usefixtures("quick")
@@ -161,7 +161,7 @@ def test_names_are_escaped(bench_evaluation: Evaluation, tmp_path: Path) -> None
         chessboard=replace(bench_evaluation.chessboard, not_used={evil: evil}),
         ranging=replace(bench_evaluation.ranging, not_used={"L09": evil}),
     )
-    write_report(tmp_path / "r.html", spoiled, None)
+    write_report(tmp_path / "r.html", spoiled, None, "en")
     text = (tmp_path / "r.html").read_text()
     assert "<script" not in text
     assert html.escape(evil) in text
@@ -339,7 +339,9 @@ def test_decimals_of_a_small_value() -> None:
 @pytest.mark.usefixtures("quick")
 def test_missing_picture_names_no_folder(evaluation: Evaluation, tmp_path: Path) -> None:
     """Rationale: a report travels; where the campaign lay is nobody's business. Expected: the path inside the campaign only."""
-    write_report(tmp_path / "r.html", replace(evaluation, residuals=(), waveforms=(), panels=(), mounting=None), None)
+    write_report(
+        tmp_path / "r.html", replace(evaluation, residuals=(), waveforms=(), panels=(), mounting=None), None, "en"
+    )
     text = (tmp_path / "r.html").read_text()
     assert "No picture: sorties/01/images/s01_000.jpg" in text
     assert str(evaluation.root) not in text
@@ -359,7 +361,7 @@ def test_score_table_of_small_constants(bench_evaluation: Evaluation, tmp_path: 
         z=0.24,
     )
     rms = replace(item, quantity="distortion_map_rms_px", truth=0.0, estimate=0.031, error=0.031, std=0.0, z=None)
-    write_report(tmp_path / "r.html", bench_evaluation, Score(campaign="hand-made", items=(item, rms)))
+    write_report(tmp_path / "r.html", bench_evaluation, Score(campaign="hand-made", items=(item, rms)), "en")
     text = (tmp_path / "r.html").read_text()
     for cell in ("0.0002012", "+0.0000012", "0.0000050", "+0.24", "+0.0310"):
         assert f'<td class="n">{cell}</td>' in text

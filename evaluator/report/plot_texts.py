@@ -1,0 +1,157 @@
+"""Titles, captions, axes and legends of the drawings in Chinese and English; part of the table in `texts`."""
+
+PLOT_TABLE: dict[str, tuple[str, str]] = {
+    # titles and captions on the page
+    "p_layout": ("靶标布设略图与视场", "Layout and fields of view"),
+    "c_layout": (
+        "以最低设计航高绘制：相机像幅（橙）、激光雷达扫描带（紫虚线）、±45° 锥（灰点线）。",
+        "Drawn at the lowest design height: camera frame (orange), LiDAR swath (purple, dashed) and the ±45° cone "
+        "(grey, dotted).",
+    ),
+    "p_profile": ("飞行剖面，架次 {n}", "Flight profile, sortie {n}"),
+    "c_profile": (
+        "7.3、7.4 的限值：速度（a）、加速度（c）、设计航高 ±5 % 且 ±5 m。阴影：航线；限值只适用于航线段。",
+        "Against the limits of 7.3 and 7.4: speed (a), acceleration (c), design height ±5 % and ±5 m. Shaded: strips; "
+        "the limits hold "
+        "along them only.",
+    ),
+    "p_waveforms": ("各反射率等级的波形与拟合", "Waveforms and fits by reflectance class"),
+    "c_waveforms": (
+        "点：数字化采样；线：高斯分解。每级一块参考板。",
+        "Dots: samples of the digitiser. Line: Gaussian decomposition. One panel of each class.",
+    ),
+    "p_surface": ("经验辐射模型 f(A, L)", "Empirical radiometric model f(A, L)"),
+    "c_surface": (
+        "8.1.2 f-g：每个设计航高一个二次曲面。底色与等值线：曲面；点：各参考板的 (A, L)，颜色为光谱仪反射率。下图："
+        "曲面值减光谱仪值。",
+        "8.1.2 f-g: one surface of second degree for each design height. Background and lines: the surface; dots: "
+        "panels at their "
+        "(A, L), coloured by the spectrometer's reflectance. Below: surface minus spectrometer.",
+    ),
+    "p_reflectance": ("激光雷达与相机反射率", "Reflectance: LiDAR against camera"),
+    "c_reflectance": ("每点一块参考板。", "One point a panel."),
+    "p_residuals": ("标定误差矢量", "Calibration residuals over the field"),
+    "c_residuals": (
+        "由检测到的标识中心指向投影的激光雷达顶点，式 (24)。",
+        "Mark as found to LiDAR vertex as projected, formula (24).",
+    ),
+    "p_targets": ("各靶标的标定误差 P_i", "Calibration error P_i of each target"),
+    "c_targets": (
+        "实心：参与平差；空心：留出检验（k 折）。虚线：表 3 的界限。",
+        "Filled: as adjusted; hollow: held out (k-fold). Dashed: bounds of table 3.",
+    ),
+    "p_correlations": ("安置参数的相关系数", "Correlations of the mounting parameters"),
+    "c_correlations": (
+        "|ρ| > 0.3 标注数值。同一传感器内超过 0.95：飞行不能区分两者；两传感器之间：源于共用的导航。",
+        "Figures where |ρ| > 0.3. Beyond 0.95 inside one sensor: the flight does not tell the two apart; between the "
+        "sensors: the "
+        "navigation they share.",
+    ),
+    "p_relative_correlations": ("相机—激光雷达转换参数的相关系数", "Correlations of camera_from_lidar"),
+    "p_board_correlations": ("标定板法参数的相关系数", "Correlations by the boards"),
+    "c_figures": ("|ρ| > {level} 标注数值。", "Figures where |ρ| > {level}."),
+    "p_board_residuals": ("标定板中心残差", "Residuals of the boards"),
+    "c_board_residuals": (
+        "检测值减投影值，颜色为架次；空心：未用。",
+        "Observed minus projected; colour: sortie; hollow: not used.",
+    ),
+    "p_sphere": ("积分球", "Integrating sphere"),
+    "c_sphere": (
+        "每幅影像中央九像素的均值。阴影：±1 SD；虚线：光源趋势。",
+        "Mean of the nine central pixels of each image. Shaded: ±1 SD. Dashed: the lamp's trend.",
+    ),
+    "p_chessboard": ("重投影残差", "Chessboard residuals"),
+    "c_chessboard": (
+        "由检测角点指向投影角点，式 (19)。均值若有规律即为残余畸变。",
+        "Corner as found to corner as projected, formula (19). A pattern in the means would be distortion left over.",
+    ),
+    "p_coverage": ("视场覆盖", "Coverage"),
+    "c_coverage": ("9.2.2 d 要求每个距离覆盖全视场。", "9.2.2 d asks for the whole field at each distance."),
+    "p_distortion": ("畸变图", "Distortion"),
+    "c_distortion": (
+        "镜头成像点相对无畸变位置的位移。",
+        "Where the lens puts a point against where it would stand without distortion.",
+    ),
+    "p_lens_correlations": ("内参相关系数", "Camera correlations"),
+    "c_lens_correlations": (
+        "|ρ| > 0.1 标注数值。k1、k2、k3 总是相关：能确定的是它们在视场内之和。",
+        "Figures where |ρ| > 0.1. k1, k2 and k3 always correlate: their sum over the field is determined, not each alone.",
+    ),
+    "p_image_errors": ("各影像误差", "Images of the chessboard"),
+    "c_image_errors": ("颜色：标定板距离。", "Colour: distance of the board."),
+    "p_ranging": ("测距误差", "Ranging line"),
+    "c_ranging": (
+        "真值 = 测值 + K₂ + R₂ · 测值，式 (13)；激光雷达减全站仪，自激光雷达中心起算。误差线：扫描均值与读数均值的合成标准差。",
+        "True = measured + K₂ + R₂ · measured, formula (13); LiDAR minus total station, from the LiDAR's centre. Bars: standard "
+        "deviation of the means of the scans and of the readings together.",
+    ),
+    "p_score": ("估计误差与标准差之比", "Errors in units of their standard deviation"),
+    "c_score": ("只有仿真检测才有真值。", "Only a simulated campaign knows the truth."),
+    "p_diagnosis": ("偏差的显著性", "Significance of the deviations"),
+    "c_diagnosis": (
+        "竖线：全部各行共同的界限。对数刻度。",
+        "Line: the limit for all rows together. Logarithmic scale.",
+    ),
+    # axes, legends
+    "cone": ("{h:g} m 处 ±45° 锥", "±45° cone at {h:g} m"),
+    "camera_frame": ("相机像幅（垂直）", "camera, nadir"),
+    "swath": ("激光雷达扫描带", "LiDAR swath"),
+    "sortie": ("架次 {n}", "sortie {n}"),
+    "frustum": ("梯形棱台靶标", "frustum target"),
+    "panel": ("参考板", "reference panel"),
+    "board": ("2×2 标定板", "2×2 board"),
+    "east": ("原点以东 [m]", "east of the origin [m]"),
+    "north": ("原点以北 [m]", "north of the origin [m]"),
+    "time_s": ("时间 [s]", "time [s]"),
+    "time_ns": ("时间 [ns]", "time [ns]"),
+    "time_min": ("时间 [min]", "time [min]"),
+    "height_m": ("航高 [m]", "height [m]"),
+    "speed": ("地速 [m/s]", "ground speed [m/s]"),
+    "acceleration": ("加速度 [m/s²]", "acceleration [m/s²]"),
+    "limit_is": ("限值 {v:g} {unit}", "limit {v:g} {unit}"),
+    "design_height": ("设计航高与限值", "design height, limits"),
+    "no_trajectory": ("无航迹", "no trajectory"),
+    "amplitude": ("振幅 A [DN]", "amplitude A [DN]"),
+    "range": ("距离 L [m]", "range L [m]"),
+    "reflectance_percent": ("反射率 [%]", "reflectance [%]"),
+    "surface_at": ("设计航高 {h:g} m", "design height {h:g} m"),
+    "surface_minus": ("曲面 − 光谱仪 [%]", "surface − spectrometer [%]"),
+    "spectrometer": ("光谱仪 [%]", "spectrometer [%]"),
+    "difference_percent": ("差值 [%]", "difference [%]"),
+    "camera_r2": ("相机 R₂ [%]", "camera R₂ [%]"),
+    "lidar_r1": ("激光雷达 R₁ [%]", "LiDAR R₁ [%]"),
+    "lidar_minus": ("激光雷达 − 光谱仪（激光波长）", "LiDAR − spectrometer at the laser line"),
+    "camera_minus": ("相机 − 光谱仪（波段）", "camera − spectrometer over the band"),
+    "lidar_camera": ("反射率相关性", "LiDAR against camera"),
+    "vectors": ("残差矢量 × {m:.0f}", "residual vectors × {m:.0f}"),
+    "projected_minus": ("投影 − 检测；颜色：架次", "projected − observed; colour: sortie"),
+    "adjusted": ("参与平差", "as adjusted"),
+    "held_out": ("留出检验", "held out"),
+    "observed_minus": ("检测 − 投影；颜色：架次", "observed − projected; colour: sortie"),
+    "z_axis": ("z =（估计 − 真值）/ 标准差", "z = (estimate − truth) / standard deviation"),
+    "truth_title": ("阴影：±2", "Truth against estimate; shaded: ±2"),
+    "abs_z": ("|z|", "|z|"),
+    # benches and ranging line
+    "stability": ("稳定性", "Stability"),
+    "repeatability": ("重复性", "Repeatability"),
+    "band_black": ("{band}: 均值 {dn:.1f} DN，未超过黑电平", "{band}: mean {dn:.1f} DN, not above the black level"),
+    "trend": ("趋势 {slope:+.3f} %/h", "trend {slope:+.3f} %/h"),
+    "dn_minus_mean": ("DN − 均值 [均值的 %]", "DN − mean [% of mean]"),
+    "cell_vectors": ("残差矢量 × {m:.0f}；黑：格网均值", "residual vectors × {m:.0f}; black: means of cells"),
+    "projected_distance": ("投影 − 检测；颜色：距离", "projected − observed; colour: distance"),
+    "position": ("位置 {n}", "position {n}"),
+    "cells": ("{at}：{all} 格中 {seen} 格", "{at}: {seen} of {all} cells"),
+    "corners_in_cell": ("格内角点数", "corners in a cell"),
+    "hatched": ("斜线：无角点", "hatched: no corner"),
+    "distortion_title": ("畸变估值；十字：像主点", "as estimated; cross: principal point"),
+    "distorted_ideal": ("畸变 − 理想 [px]", "distorted − ideal [px]"),
+    "mean_of_norms": ("M_z {m:.3f} px（范数均值）", "M_z {m:.3f} px (mean of the norms)"),
+    "accepted_image": ("采用的影像", "accepted image"),
+    "image_errors": ("各影像的重投影误差", "reprojection error of each image"),
+    "before": ("改正前", "before the correction"),
+    "after": ("改正后", "after the correction"),
+    "lidar": ("激光雷达", "LiDAR"),
+    "total_station": ("全站仪", "total station"),
+    "difference_mm": ("差值 [mm]", "difference [mm]"),
+    "distance": ("距离 [m]", "distance [m]"),
+}
