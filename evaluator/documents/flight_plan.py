@@ -124,7 +124,7 @@ def _summary(data: CampaignData, plan: FlightPlan, language: Language) -> list[B
             "g",
             "其他技术要求",
             "other requirements",
-            join.join(
+            say(language, "；", "; ").join(
                 t
                 for t in (
                     translated(plan.requirements, language),

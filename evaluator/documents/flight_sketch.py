@@ -16,6 +16,7 @@ from evaluator.model import CampaignData
 from evaluator.report.style import INK, figure, sortie_colour
 
 _AREA = "#d1603d"
+_MAX_DRAWN = 400  # strips
 _STEP_DEG = 30.0 / 3600.0  # between ticks of a sheet's frame
 
 
@@ -37,8 +38,8 @@ def map_points(manifest: Manifest, lat_lon_deg: Sequence[tuple[float, float]]) -
 
 def sketch(data: CampaignData, plan: FlightPlan, language: Language) -> Drawn:
     """Both drawings side by side; a half that cannot be drawn says why."""
-    drawn = figure(7.2, 3.9)
-    left, right = drawn.subplots(1, 2, width_ratios=(1.0, 1.05))
+    drawn = figure(7.2, 3.7)
+    left, right = drawn.subplots(1, 2, width_ratios=(1.12, 1.0))
     corners = plan.area_lat_lon_deg or (plan.takeoff_lat_lon_deg,)
     latitude, longitude = np.array(corners, dtype=np.float64).mean(axis=0)
     sheet = sheet_at(float(latitude), float(longitude))
@@ -80,8 +81,8 @@ def _sheet(axes: Axes, sheet: Sheet, plan: FlightPlan, language: Language) -> No
         beside = sheet_at((south + north) / 2 + dy * high, (west + east) / 2 + dx * wide)
         if beside is not None:
             axes.text(
-                (west + east) / 2 + dx * 0.67 * wide,
-                (south + north) / 2 + dy * 0.66 * high,
+                (west + east) / 2 + dx * 0.68 * wide,
+                (south + north) / 2 + dy * 0.68 * high,
                 beside.number,
                 ha="center",
                 va="center",
@@ -103,10 +104,16 @@ def _sheet(axes: Axes, sheet: Sheet, plan: FlightPlan, language: Language) -> No
         color=_AREA,
         fontsize=8,
     )
-    axes.set(xlim=(west - 0.42 * wide, east + 0.42 * wide), ylim=(south - 0.42 * high, north + 0.42 * high))
+    axes.set(xlim=(west - 0.24 * wide, east + 0.24 * wide), ylim=(south - 0.26 * high, north + 0.26 * high))
     axes.set_aspect(1.0 / np.cos(np.radians((south + north) / 2)))
     axes.set_axis_off()
     axes.set_title(say(language, f"图幅 {sheet.number}（1:10 000）", f"Sheet {sheet.number} (1:10 000)"), loc="center")
+
+
+def _widths(plan: FlightPlan) -> dict[int, float]:
+    """Sorties that fly the same lines lie over one another: the first is drawn widest and shows below the others."""
+    numbers = sorted({s.sortie for s in plan.strips})
+    return {n: max(1.0, 1.0 + 1.4 * (len(numbers) - 1 - k)) for k, n in enumerate(numbers)}
 
 
 def _area(axes: Axes, data: CampaignData, plan: FlightPlan, language: Language) -> None:
@@ -118,23 +125,32 @@ def _area(axes: Axes, data: CampaignData, plan: FlightPlan, language: Language) 
     if not known:
         _empty(axes, say(language, "没有可绘制的坐标", "no coordinates to draw"))
         return
-    origin = np.concatenate(known if corners is None else [corners]).min(axis=0)
+    base = np.concatenate(known if corners is None else [corners])
+    origin, middle = base.min(axis=0), base.mean(axis=0)
+    reach = 3.0 * max(float(np.ptp(base, axis=0).max()), 100.0)
+
+    def near(points: np.ndarray) -> np.ndarray:
+        """Points that belong on this drawing; a plan with another origin draws nothing kilometres away."""
+        return points[(np.abs(points - middle) < reach).all(axis=-1)]
+
+    wide = _widths(plan)
     if corners is not None:
         axes.add_patch(Polygon(corners - origin, closed=True, fc="#f4b94222", ec=_AREA, lw=1.3))
-        middle = corners.mean(axis=0)
         for k, corner in enumerate(corners, 1):
             away = 7.0 * np.sign(corner - middle)
             axes.annotate(
                 str(k), corner - origin, xytext=away, textcoords="offset points", ha="center", va="center", fontsize=8
             )
-    for strip, line in zip(plan.strips, lines, strict=True):
+    for strip, line in zip(plan.strips[:_MAX_DRAWN], lines[:_MAX_DRAWN], strict=True):
+        if len(near(line)) < 2:
+            continue
         axes.annotate(
             "",
             line[1] - origin,
             line[0] - origin,
             arrowprops={
                 "arrowstyle": "-|>",
-                "lw": 1.0,
+                "lw": wide[strip.sortie],
                 "color": sortie_colour(max(strip.sortie, 1)),
                 "shrinkA": 0,
                 "shrinkB": 0,
@@ -145,12 +161,13 @@ def _area(axes: Axes, data: CampaignData, plan: FlightPlan, language: Language) 
         ("frustum", "s", "几何靶标", "geometric target"),
     ):
         points = np.array([[t.easting_m, t.northing_m] for t in data.targets if t.kind == kind]).reshape(-1, 2)
+        points = near(points)
         if len(points):
             axes.plot(
                 *(points - origin).T, marker, ms=3.2, mfc="none", mec="#1b6ca8" if kind == "panel" else "#3a8f5c", mew=0.9,
                 ls="none", label=say(language, zh, en),
             )  # fmt: skip
-    if takeoff is not None:
+    if takeoff is not None and len(near(takeoff)):
         axes.plot(
             *(takeoff[0] - origin),
             "^",
@@ -162,7 +179,7 @@ def _area(axes: Axes, data: CampaignData, plan: FlightPlan, language: Language) 
     for number in sorted({s.sortie for s in plan.strips})[:6]:
         label = say(language, f"第 {number} 架次航线", f"strips of sortie {number}")
         axes.plot([], [], color=sortie_colour(max(number, 1)), lw=1.2, label=label)
-    everything = np.concatenate(known) - origin
+    everything = near(np.concatenate(known)) - origin
     low, high = everything.min(axis=0), everything.max(axis=0)
     room = 0.09 * max(float((high - low).max()), 1.0)
     axes.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room), aspect="equal")

@@ -455,12 +455,12 @@ def _conformity(results: Mapping[str, Any], language: Language) -> list[Block]:
 def _attachments(results: Mapping[str, Any], language: Language) -> list[Block]:
     rows = say(
         language,
-        "辐射一致性检测观测手簿（A.1）|radiometric_observation_zh\n几何一致性检测观测手簿（A.2）|geometric_observation_zh\n"
-        "辐射一致性检测计算手簿（B.1）|radiometric_calculation_zh\n几何一致性检测计算手簿（B.2）|geometric_calculation_zh\n"
+        "辐射一致性检测观测手簿（A.1）|observation_radiometric_zh\n几何一致性检测观测手簿（A.2）|observation_geometric_zh\n"
+        "辐射一致性检测计算手簿（B.1）|calculation_radiometric_zh\n几何一致性检测计算手簿（B.2）|calculation_geometric_zh\n"
         "飞行计划书（7.1）|flight_plan_zh\n全部数值|results.json",
-        "Observation handbook, radiometry (A.1)|radiometric_observation_en\nObservation handbook, geometry (A.2)|"
-        "geometric_observation_en\nCalculation handbook, radiometry (B.1)|radiometric_calculation_en\n"
-        "Calculation handbook, geometry (B.2)|geometric_calculation_en\nFlight plan (7.1)|flight_plan_en\nAll figures|results.json",
+        "Observation handbook, radiometry (A.1)|observation_radiometric_en\nObservation handbook, geometry (A.2)|"
+        "observation_geometric_en\nCalculation handbook, radiometry (B.1)|calculation_radiometric_en\n"
+        "Calculation handbook, geometry (B.2)|calculation_geometric_en\nFlight plan (7.1)|flight_plan_en\nAll figures|results.json",
     )
     problems = [translated(str(p), language) for p in results.get("problems", [])][:100]
     amiss: list[Block] = [Paragraph(text=p) for p in problems]
