@@ -148,7 +148,7 @@ def test_wrong_plans(campaign_data: CampaignData) -> None:
         "strips": plan.strips * 60,
     }
     empty: dict[str, object] = {"area_lat_lon_deg": (), "strips": (), "area_m2": 0.0, "duration_s": 0.0}
-    written = {k: hostile for k in ("aircraft", "requirements", "map_sheet", "season")}
+    written = dict.fromkeys(("aircraft", "requirements", "map_sheet", "season"), hostile)
     for changes in (beyond, empty, {**written, "start_time": "x", "deadline": ""}):
         data = replace(campaign_data, plan=plan.model_copy(update=changes))
         document = build_flight_plan(data, None, "zh")
