@@ -24,12 +24,14 @@ from evaluator.helping_strip import predicted_covariance, weak_parameters
 from evaluator.model import CampaignData, MarkObservation, VertexObservation
 from evaluator.mounting_model import System
 from evaluator.observe.panels import LidarPanelObservation, lidar_panel_observations
+from evaluator.panel_planes import observe_planes
 from simulator.flight import design_lines, speeds_m_s
 from simulator.radar_equation import unambiguous_range_m
 from simulator.scanner import scanner_from
 from simulator.times import BEIJING, gps_time_from_iso
 from testrange.plan import light as camera_side
 from testrange.plan.beams import Passes, cast_passes
+from testrange.plan.benches import set_up_rows
 from testrange.plan.model import (
     CONFIGURATION,
     Accuracy,
@@ -152,11 +154,13 @@ def _planned(rehearsal: Rehearsal) -> Plan:
     times = flight_times(data, measured)
     window = _sun_window(config, data, float(times[0]), float(times[-1])) if times.size else ()
     elevation = sun_elevation(data, times) if times.size else times
-    rows = [_plan_row(config, row, window) for row in conformity_rows(data, measured)]
+    set_up = set_up_rows(config, data, measured, rehearsal.line)
+    found = [set_up.get((row.clause, row.requirement), row) for row in conformity_rows(data, measured)]
+    rows = [_plan_row(config, row, window) for row in found]
     if passes is not None and any(t.kind == "frustum" for t in data.targets):
         first = next(k for k, row in enumerate(rows) if row.clause.startswith("9.3.2"))
         rows.insert(first, _faces_row(rehearsal, passes, vertices, reasons))
-    accuracy, accuracy_reason = _accuracy(rehearsal, marks, vertices)
+    accuracy, accuracy_reason = _accuracy(rehearsal, passes, marks, vertices)
     return Plan(
         campaign=config.campaign.id,
         title=config.campaign.title,
@@ -387,13 +391,14 @@ def _exposure(rehearsal: Rehearsal) -> Exposure | None:
 
 
 def _accuracy(
-    rehearsal: Rehearsal, marks: list[MarkObservation], vertices: list[VertexObservation]
+    rehearsal: Rehearsal, passes: Passes | None, marks: list[MarkObservation], vertices: list[VertexObservation]
 ) -> tuple[Accuracy | None, str | None]:
     """What the adjustment of 9.3 can reach with these observations: its covariance at the drawing's mountings."""
-    if not marks or not vertices:
+    if not marks or not vertices or passes is None or rehearsal.data.rig is None:
         return None, "no marks in images" if vertices else "no vertex of a frustum"
     try:
-        problem = build_problem(rehearsal.data, marks, vertices)
+        planes = observe_planes(rehearsal.data, passes.returns, nominal_mountings(rehearsal.data.rig)[1]).planes
+        problem = build_problem(rehearsal.data, marks, vertices, planes)
         system = System(problem)
         covariance = predicted_covariance(problem, np.zeros(system.count))
     except TestrangeError as error:

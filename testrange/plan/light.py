@@ -17,7 +17,7 @@ from simulator.times import utc_from_gps_time
 from testrange.plan.model import PanelLight
 from testrange.plan.rehearsal import Rehearsal
 
-MARK_STD_PX = 0.02  # of a mark's centre; rendered ones are found to 0.006 px, a field's to some hundredths
+MARK_STD_PX = 0.006  # of a mark's centre, as rendered ones are found; a field's air and optics may cost some hundredths
 _RATE_SPAN_S = 0.02
 
 

@@ -8,7 +8,7 @@ PHYSICS = "physics"  # the clause of a row that no clause asks for
 CONFIGURATION = "configuration"  # of what cannot be built and names no clause
 
 
-MOST_NAMED = 3  # failing rows in a refusal
+MOST_NAMED = 2  # failing rows that a refusal quotes; of the others the clause
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,12 +140,13 @@ class Plan:
         """One sentence with clauses, what is planned, what is asked for and the way out; None where nothing fails."""
         if not self.failing:
             return None
+        failing = sorted(self.failing, key=lambda row: row.clause != PHYSICS)  # nothing else helps where physics fails
         parts, remedies = [], []
-        for row in self.failing[:MOST_NAMED]:
+        for row in failing[:MOST_NAMED]:
             limit = f", expected {row.limit}" if row.limit else ""
             parts.append(f"{row.clause}, {row.requirement}: got {row.planned}{limit}")
             if row.remedy and row.remedy not in remedies:
                 remedies.append(row.remedy)
-        if len(self.failing) > MOST_NAMED:
-            parts.append(f"and {len(self.failing) - MOST_NAMED} more")
+        if len(failing) > MOST_NAMED:
+            parts.append("and " + ", ".join(dict.fromkeys(row.clause for row in failing[MOST_NAMED:])))
         return "; ".join(["the plan fails " + "; ".join(parts), *remedies])

@@ -46,6 +46,7 @@ class Rehearsal:
     sorties: tuple[Sortie, ...]
     estimated: tuple[Motion, ...]
     exposing: sensor.Exposing | None
+    line: Line | None
     data: CampaignData
 
     @property
@@ -85,6 +86,7 @@ def rehearse(config: Config, folder: Path) -> Rehearsal:
         if "camera" in config.campaign.parts:
             light = sun_sky(config.site, config.environment, utc_from_gps_time(sorties[0].strips[0].start_s))
             exposing = sensor.exposure_gain(config.camera, light)
+    line = _line(config) if "ranging" in config.campaign.parts else None
     estimated = tuple(estimate_motion(config, sortie.motion, sortie.number) for sortie in sorties)
     data = CampaignData(
         folder=CampaignFolder(folder),
@@ -100,7 +102,7 @@ def rehearse(config: Config, folder: Path) -> Rehearsal:
             for sortie, motion in zip(sorties, estimated, strict=True)
         ),
         bench=_bench(config) if "bench" in config.campaign.parts else BenchData(),
-        ranging=_ranging(config) if "ranging" in config.campaign.parts else RangingData(),
+        ranging=_ranging(config, line) if line is not None else RangingData(),
     )
     return Rehearsal(
         config=config,
@@ -109,6 +111,7 @@ def rehearse(config: Config, folder: Path) -> Rehearsal:
         sorties=sorties,
         estimated=estimated,
         exposing=exposing,
+        line=line,
         data=data,
     )
 
@@ -236,11 +239,11 @@ def _bench(config: Config) -> BenchData:
     )
 
 
-def _ranging(config: Config) -> RangingData:
-    """The line as it will be set up; readings as two total stations would take them."""
+def _line(config: Config) -> Line:
+    """The ranging line as it will be set up; how the instruments lean does not show in a plan."""
     seed = config.seed if config.scene_seed is None else config.scene_seed
     setting = build_line(config, generator(seed, Stream.RANGING, SCENE_KEY))
-    line = Line(
+    return Line(
         config=config,
         setting=setting,
         scene=setting.scene,
@@ -248,5 +251,9 @@ def _ranging(config: Config) -> RangingData:
         station_azimuth_rad=0.0,
         turn_deg=(0.0, 0.0),
     )
+
+
+def _ranging(config: Config, line: Line) -> RangingData:
+    """Readings as two total stations would take them."""
     sheet, readings = survey_line(line, config)
     return RangingData(line=sheet, readings=tuple(readings))
