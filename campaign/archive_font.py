@@ -2,6 +2,7 @@
 
 import base64
 import io
+from functools import lru_cache
 
 import pylopdf_fonts_zh_cn
 from fontTools import subset  # type: ignore[import-untyped]
@@ -12,14 +13,21 @@ _FIRST_CJK = 0x2E80  # radicals, punctuation and letters of Chinese stand from h
 
 def font_face(text: str, family: str) -> str:
     """A CSS rule that holds a font with the Chinese letters of `text`; the same letters give the same bytes."""
-    letters = sorted({ord(c) for c in text if ord(c) >= _FIRST_CJK})
-    font = TTFont(str(pylopdf_fonts_zh_cn.sans_path()), recalcTimestamp=False)
-    cutter = subset.Subsetter(subset.Options(layout_features=[], notdef_outline=True, hinting=False))
-    cutter.populate(unicodes=letters)
-    cutter.subset(font)
-    font.flavor = "woff"
-    buffer = io.BytesIO()
-    font.save(buffer)
-    coded = base64.b64encode(buffer.getvalue()).decode()
+    coded = _cut(frozenset(ord(c) for c in text if ord(c) >= _FIRST_CJK))
     source = f"url(data:font/woff;base64,{coded}) format('woff')"
     return f"@font-face{{font-family:'{family}';unicode-range:U+{_FIRST_CJK:X}-10FFFF;src:{source}}}"
+
+
+@lru_cache(maxsize=8)
+def _cut(letters: frozenset[int]) -> str:
+    """A WOFF file in base 64."""
+    unused = ["GSUB", "GPOS", "GDEF", "BASE", "VORG", "vhea", "vmtx", "DSIG"]  # of vertical text and fine typography
+    options = subset.Options(layout_features=[], notdef_outline=True, hinting=False, drop_tables=unused)
+    cutter = subset.Subsetter(options)
+    cutter.populate(unicodes=sorted(letters))
+    buffer = io.BytesIO()
+    with TTFont(str(pylopdf_fonts_zh_cn.sans_path()), lazy=True, recalcTimestamp=False) as font:
+        cutter.subset(font)
+        font.flavor = "woff"
+        font.save(buffer)
+    return base64.b64encode(buffer.getvalue()).decode()
