@@ -92,9 +92,10 @@ def _row(quantity: str, unit: str, stated: float, estimate: float, std: float) -
     )
 
 
-def suspects(rejected: Sequence[str], targets: Sequence[str]) -> tuple[str, ...]:
-    """Targets whose surveyed place, or panels whose surveyed height, the adjustment left out."""
-    return tuple(t for t in targets if f"surveyed place of {t}" in rejected or f"surveyed height of {t}" in rejected)
+def suspects(rejected: Sequence[str], targets: Sequence[str], swapped: Sequence[Sequence[str]] = ()) -> tuple[str, ...]:
+    """Targets whose surveyed place or height an adjustment left out, and those found at each other's place."""
+    named = {line.split(":")[0] for line in rejected} | {t for pair in swapped for t in pair}
+    return tuple(t for t in targets if named & {t, f"surveyed place of {t}", f"surveyed height of {t}"})
 
 
 def diagnosis_block(rows: Sequence[Deviation], survey: Sequence[str]) -> dict[str, object]:

@@ -9,6 +9,7 @@ others. Nothing under truth/ is opened.
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -114,6 +115,7 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
         p_m = replace(p_m, companions={**p_m.companions, "interior_orientation": lens_source, "ranges": ranges})
     progress("calibration error", 1, 1)
     solution = geometry.solution if geometry else None
+    boards = _boards_block(data, findings)
     indicators = benches.indicators | {
         "lidar_reflectance_rmse": m_f,
         "reflectance_correlation": r_f,
@@ -134,7 +136,7 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
         mounting=solution,
         mounting_reason=geometry_reason,
         mounting_prior_std=solution.prior_std if solution else None,
-        boards=_boards_block(data, findings),
+        boards=boards,
         closure=_closure_block(geometry),
         problems=tuple(findings.problems),
         data=data,
@@ -159,7 +161,11 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
             benches.ranging,
             benches.photon_transfer,
         ),
-        survey_doubts=suspects(solution.rejected, [t.id for t in data.targets]) if solution else (),
+        survey_doubts=suspects(
+            (*(solution.rejected if solution else ()), *boards.get("rejected", ())),
+            [t.id for t in data.targets],
+            boards.get("swapped", ()),
+        ),
     )
 
 
@@ -279,7 +285,7 @@ def _geometry(
     return result, None
 
 
-def _boards_block(data: CampaignData, findings: _Findings) -> dict[str, object]:
+def _boards_block(data: CampaignData, findings: _Findings) -> dict[str, Any]:
     """The camera's mounting by the patent's boards; empty where the survey holds none."""
     if not any(t.kind == "board" for t in data.targets):
         return {}
