@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 from campaign.errors import TestrangeError
 from campaign.las import Returns, StripReader
 from campaign.survey import SurveyedTarget
-from evaluator.frames import WorldFrame
-from evaluator.georeference import corrected_points, lidar_points, world_points
+from evaluator.frames import WorldFrame, body_pose
+from evaluator.georeference import corrected_points, nominal_mountings
 from evaluator.load import in_folder
 from evaluator.model import SortieData
 from evaluator.results import Evaluation
@@ -22,7 +22,10 @@ from evaluator.view.model import Cloud, StripPoints, TruthErrors
 LEAST_POINTS = 380_000  # at about 17 characters a point: 6.6 MB of page
 MOST_POINTS = 1_000_000  # 17 MB
 SHARE_ON_TARGETS = 0.4  # of the points, at most
-MARGIN_M = 0.6  # round a target's circumscribed circle: the mounting's error on the ground
+MARGIN_M = 0.4  # round a target's circumscribed circle
+DELIVERED_MARGIN_M = 0.6  # the same where no mounting could be adjusted
+MOST_SHIFT_M = 3.0  # of the points by the adjusted mounting, beyond which they are not searched
+WIDE_CAP = 8  # times as many points near a target are looked at as are shown
 MAX_STRIPS = 255  # a point names its strip in one byte
 MAX_AWAY_M = 20_000.0  # of a point from the site's origin; farther ones are damaged records
 MAX_RASTER = 4_000_000  # cells of the raster that finds points near targets
@@ -80,9 +83,9 @@ def thin_evenly(xyz_m: np.ndarray, order: np.ndarray, count: int) -> np.ndarray:
 class _Near:
     """Which surveyed target a point lies near: a coarse raster first, then distances."""
 
-    def __init__(self, targets: tuple[SurveyedTarget, ...]) -> None:
+    def __init__(self, targets: tuple[SurveyedTarget, ...], margin_m: float) -> None:
         self.xy = np.array([[t.easting_m, t.northing_m] for t in targets]).reshape(-1, 2)
-        self.radius = np.array([t.size_m / np.sqrt(2.0) + MARGIN_M for t in targets])
+        self.radius = np.array([t.size_m / np.sqrt(2.0) + margin_m for t in targets])
         if not targets:
             return
         self.tree = cKDTree(self.xy)
@@ -113,32 +116,47 @@ class _Near:
         return out
 
 
-def _strip_sample(
+def _shift_m(evaluation: Evaluation) -> float:
+    """How far the adjusted mounting moves points on the ground, about; 0 without one. [m]"""
+    data, solution = evaluation.data, evaluation.mounting
+    if data is None or data.rig is None or solution is None:
+        return 0.0
+    nominal = nominal_mountings(data.rig)[1]
+    turn = solution.body_from_lidar.rotation @ nominal.rotation.T
+    angle = float(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
+    lever = float(np.linalg.norm(solution.body_from_lidar.lever_arm_m - nominal.lever_arm_m))
+    ground = float(np.mean([t.height_m for t in data.targets] or [0.0])) + data.manifest.height_anomaly_m
+    tops = [float(s.trajectory.ellipsoid_height_m.max()) for s in data.sorties if s.trajectory is not None]
+    return float(np.clip(1.3 * angle * (max(tops, default=0.0) - ground) + lever, 0.0, MOST_SHIFT_M))
+
+
+def _candidates(
     reader: StripReader, salt: int, near: _Near, origin_map_m: np.ndarray, quota: int, cap: int
-) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """(rows, target of each, columns) of one strip: at most `quota` away from targets and `cap` at each target."""
-    share = min(1.0, 2.0 * quota / max(reader.point_count, 1))
+) -> dict[str, np.ndarray]:
+    """Columns of one strip's rows: about `quota` evenly in space (`even` says which), and those near targets as delivered."""
     columns: dict[str, list[np.ndarray]] = {}
-    rows, targets, hashes = [], [], []
+    limit = np.uint64(min(1.0, 2.0 * quota / max(reader.point_count, 1)) * (2**64 - 2048))
     for first, chunk in reader.chunks():
         record = first + np.arange(len(chunk.gps_time_s), dtype=np.int64)
         target = near(chunk.xyz_m[:, :2])
         order = row_hash(record, salt)
         sound = np.isfinite(chunk.xyz_m).all(axis=1) & (np.abs(chunk.xyz_m - origin_map_m) < MAX_AWAY_M).all(axis=1)
-        keep = np.flatnonzero(sound & ((target >= 0) | (order < np.uint64(share * (2**64 - 2048)))))
-        rows.append(record[keep])
-        targets.append(target[keep])
-        hashes.append(order[keep])
-        for name, values in _columns(chunk).items():
-            columns.setdefault(name, []).append(values[keep])
-    if not rows:
-        return np.zeros(0, np.int64), np.zeros(0, np.int32), {}
-    record, target, order = np.concatenate(rows), np.concatenate(targets), np.concatenate(hashes)
+        even = sound & (order < limit)
+        close = np.zeros(len(record), dtype=bool)
+        close[_capped(np.where(sound, target, -1), order, WIDE_CAP * cap)] = True
+        rows = np.flatnonzero(even | close)
+        for name, values in (
+            _columns(chunk) | {"record": record, "order": order, "even": even, "close": close}
+        ).items():
+            columns.setdefault(name, []).append(values[rows])
     table = {name: np.concatenate(parts) for name, parts in columns.items()}
-    away = np.flatnonzero(target < 0)
-    chosen = away[thin_evenly(table["map_m"][away], order[away], quota)]
-    chosen = np.sort(np.concatenate([chosen, _capped(target, order, cap)]))
-    return record[chosen], target[chosen], {name: values[chosen] for name, values in table.items()}
+    if table:
+        some = np.flatnonzero(table["even"])
+        table["even"] = np.zeros(len(table["even"]), dtype=bool)
+        table["even"][some[thin_evenly(table["map_m"][some], table["order"][some], quota)]] = True
+        wanted = table["even"] | table["close"]
+        table = {name: values[wanted] for name, values in table.items()}
+    return table
 
 
 def _capped(group: np.ndarray, order: np.ndarray, cap: int) -> np.ndarray:
@@ -160,41 +178,70 @@ def _columns(chunk: Returns) -> dict[str, np.ndarray]:
     }
 
 
-def _placed(
-    evaluation: Evaluation,
-    frame: WorldFrame,
-    sortie: SortieData,
-    points: StripPoints,
-    truth_errors: TruthErrors | None,
-) -> tuple[StripPoints, np.ndarray]:
-    """The points with adjusted places and errors, and their ranges (n,) [m], NaN where no trajectory tells them."""
-    data, n = evaluation.data, len(points.record)
-    range_m = np.full(n, np.nan)
-    trajectory = sortie.trajectory
-    if data is None or data.rig is None or trajectory is None or n == 0:
-        return points, range_m
+def _adjusted(
+    evaluation: Evaluation, frame: WorldFrame, sortie: SortieData, points: StripPoints
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rows that the trajectory covers (m,), what the LiDAR measured there (m, 3), and world places (m, 3) as delivered and by
+    the adjusted mounting (NaN without one). [m]"""
+    data, trajectory = evaluation.data, sortie.trajectory
+    nothing = np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3))
+    if data is None or data.rig is None or trajectory is None:
+        return nothing
     shift = evaluation.mounting.lidar_clock_s if evaluation.mounting is not None else 0.0
     low, high = trajectory.gps_time_s[0] + abs(shift), trajectory.gps_time_s[-1] - abs(shift)
     rows = np.flatnonzero((points.gps_time_s >= low) & (points.gps_time_s <= high))  # NaN: no
     if not rows.size:
-        return points, range_m
-    time = points.gps_time_s[rows]
-    measured = lidar_points(points.map_m[rows], time, trajectory, data.rig, frame)
-    range_m[rows] = np.linalg.norm(measured, axis=1)
+        return nothing
+    time, nominal = points.gps_time_s[rows], nominal_mountings(data.rig)[1]
     delivered = frame.world_from_map(points.map_m[rows])
-    adjusted = np.full(delivered.shape, np.nan)
+    position, turn = body_pose(trajectory, time, frame)  # as georeference's functions do, with one pose for both
+    measured = (np.einsum("nji,nj->ni", turn, delivered - position) - nominal.lever_arm_m) @ nominal.rotation
+    if evaluation.mounting is None:
+        return rows, measured, delivered, np.full(delivered.shape, np.nan)
+    mounting = evaluation.mounting.body_from_lidar
+    in_body = corrected_points(measured, data.range_correction) @ mounting.rotation.T + mounting.lever_arm_m
+    if shift != 0.0:
+        position, turn = body_pose(trajectory, time - shift, frame)
+    return rows, measured, delivered, position + np.einsum("nij,nj->ni", turn, in_body)
+
+
+def _strip_points(
+    evaluation: Evaluation,
+    frame: WorldFrame,
+    sortie: SortieData,
+    found: StripPoints,
+    table: dict[str, np.ndarray],
+    cap: int,
+    truth_errors: TruthErrors | None,
+) -> tuple[StripPoints, np.ndarray, list[str]]:
+    """One strip's points as shown, their amplitude times squared range (n,), NaN where unknown, and a problem with truth."""
+    targets = evaluation.data.targets if evaluation.data is not None else ()
+    n = len(found.record)
+    rows, measured, delivered, adjusted = _adjusted(evaluation, frame, sortie, found)
     adjusted_map = np.full((n, 3), np.nan)
-    if evaluation.mounting is not None:
-        corrected = corrected_points(measured, data.range_correction)
-        mounting = evaluation.mounting.body_from_lidar
-        adjusted = world_points(corrected, time - shift, trajectory, mounting, frame)
-        turn = frame.world_from_grid(points.map_m[rows].mean(axis=0))  # decimetres: one rotation holds for all
-        adjusted_map[rows] = points.map_m[rows] + (adjusted - delivered) @ turn
-    error = np.full((2, n), np.nan)
-    if truth_errors is not None:
-        both = np.stack([delivered, adjusted])
-        error[:, rows] = truth_errors(points.sortie, points.strip, points.record[rows], measured, time, both)
-    return replace(points, adjusted_map_m=adjusted_map, error_m=error), range_m
+    if rows.size:
+        turn = frame.world_from_grid(found.map_m[rows].mean(axis=0))  # decimetres: one rotation holds for all
+        adjusted_map[rows] = found.map_m[rows] + (adjusted - delivered) @ turn
+    known = np.isfinite(adjusted_map).all(axis=1)
+    place = np.where(known[:, None], adjusted_map, found.map_m)
+    target = _Near(targets, MARGIN_M if known.any() else DELIVERED_MARGIN_M)(place[:, :2])
+    found = replace(found, adjusted_map_m=adjusted_map, target=target)
+    mask = table["even"] & (target < 0)
+    mask[_capped(target, table["order"], cap)] = True
+    chosen = np.flatnonzero(mask)
+    power = np.full(n, np.nan)
+    power[rows] = table["amplitude"][rows].astype(float) * np.sum(measured**2, axis=1)
+    error, problems = np.full((2, n), np.nan), []
+    part = np.flatnonzero(mask[rows])
+    if truth_errors is not None and part.size:
+        at, both = rows[part], np.stack([delivered[part], adjusted[part]])
+        try:
+            error[:, at] = truth_errors(
+                found.sortie, found.strip, found.record[at], measured[part], found.gps_time_s[at], both
+            )
+        except TestrangeError as wrong:
+            problems.append(str(wrong))
+    return _rows(replace(found, error_m=error), chosen), power[chosen], problems
 
 
 def sample_cloud(evaluation: Evaluation, truth_errors: TruthErrors | None) -> Cloud:
@@ -205,7 +252,7 @@ def sample_cloud(evaluation: Evaluation, truth_errors: TruthErrors | None) -> Cl
     data = evaluation.data
     if data is None:
         return Cloud(strips=(), total=0, reflectance_by="none")
-    frame, near = WorldFrame(data.manifest), _Near(data.targets)
+    frame, near = WorldFrame(data.manifest), _Near(data.targets, DELIVERED_MARGIN_M + _shift_m(evaluation))
     origin = frame.map_from_world(np.zeros(3))
     unit = data.lidar.amplitude_unit if data.lidar is not None else "linear"
     problems: list[str] = []
@@ -229,33 +276,30 @@ def sample_cloud(evaluation: Evaluation, truth_errors: TruthErrors | None) -> Cl
     for k, (sortie, strip, reader) in enumerate(readers):
         try:
             quota = int(budget * reader.point_count / max(total, 1))
-            record, target, table = _strip_sample(reader, k, near, origin, quota, cap)
-            if not len(record):
+            table = _candidates(reader, k, near, origin, quota, cap)
+            if not table or not len(table["record"]):
                 continue
-            n = len(record)
+            n = len(table["record"])
             found = StripPoints(
                 sortie=sortie.folder.number,
                 strip=strip,
-                record=record,
+                record=table["record"],
                 map_m=table["map_m"],
                 adjusted_map_m=np.full((n, 3), np.nan),
                 gps_time_s=table["gps_time_s"],
                 reflectance=np.power(10.0, np.clip(table["reflectance_db"].astype(float), -60.0, 20.0) / 10.0),
                 last=table["last"],
-                target=target,
+                target=np.full(n, -1, np.int32),
                 error_m=np.full((2, n), np.nan),
             )
-            try:
-                found, range_m = _placed(evaluation, frame, sortie, found, truth_errors)
-            except TestrangeError as error:
-                problems.append(in_folder(error, data.folder.root))
-                found, range_m = _placed(evaluation, frame, sortie, found, None)
+            found, strength, amiss = _strip_points(evaluation, frame, sortie, found, table, cap, truth_errors)
         except TestrangeError as error:
             problems.append(in_folder(error, data.folder.root))
             continue
+        problems += [in_folder(line, data.folder.root) for line in amiss]
         by_device &= bool(np.isfinite(found.reflectance).any())
         strips.append(found)
-        power.append(table["amplitude"].astype(float) * range_m**2)
+        power.append(strength)
     scaled_by = "device"
     if not (by_device and strips):
         strips, scaled_by = _by_panels(strips, power, data.targets)
