@@ -37,7 +37,7 @@ HOW: dict[str, Explanation] = {
         ),
     ),
     "camera_stability": Explanation(
-        formula="DNᵢ = 9 px,   SD = √( Σ (DNᵢ − D̄N)² / (n − 1) ),   RSD = 100 · SD / D̄N",
+        formula="SD = √( Σ (DNᵢ − D̄N)² / (n − 1) ),   RSD = 100 · SD / D̄N",
         words=(
             "光源预热 20 min 后，1 h 内每 3 min 拍摄积分球一幅，含首尾共 21 幅。DNᵢ：各波段中央九像素均值，已减黑电平；"
             "取最大的波段。"
