@@ -1,6 +1,5 @@
 """10.2, 10.3, appendices A-C: what the laboratory files, as PDF and DOCX, Chinese or English."""
 
-import importlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,24 +12,23 @@ if TYPE_CHECKING:
 
 __all__ = ["build_documents", "write_documents"]
 
-_HANDBOOKS = (
-    ("handbooks_observation", "build_radiometric_observation"),
-    ("handbooks_observation", "build_geometric_observation"),
-    ("handbooks_calculation", "build_radiometric_calculation"),
-    ("handbooks_calculation", "build_geometric_calculation"),
-)
-
 
 def build_documents(evaluation: "Evaluation", results: Mapping[str, Any], language: Language) -> list[Document]:
     """Test report, flight plan and the four handbooks in one language."""
     from evaluator.documents.flight_plan import build_flight_plan
+    from evaluator.documents.handbooks_calculation import build_geometric_calculation, build_radiometric_calculation
+    from evaluator.documents.handbooks_observation import build_geometric_observation, build_radiometric_observation
     from evaluator.documents.test_report import build_test_report
 
     made = [build_test_report(evaluation, results, language)]
     if evaluation.data is not None:
         made.append(build_flight_plan(evaluation.data, results, language))
-    for module, name in _HANDBOOKS:
-        build = getattr(importlib.import_module(f"evaluator.documents.{module}"), name)
+    for build in (
+        build_radiometric_observation,
+        build_geometric_observation,
+        build_radiometric_calculation,
+        build_geometric_calculation,
+    ):
         made.append(build(evaluation, results, language))
     return made
 
@@ -58,7 +56,8 @@ def write_documents(
     Returns
     -------
     list of Path
-        The files, in the order of writing: test_report_zh.pdf, test_report_zh.docx, flight_plan_zh.pdf, ...
+        The files, in the order of writing: test_report_zh.pdf, test_report_zh.docx, flight_plan_zh.pdf, …, then
+        observation_ and calculation_radiometric and _geometric.
 
     Raises
     ------
