@@ -31,7 +31,7 @@ def sources(documents: list[Document]) -> set[str]:
 
 
 def test_a_flight(evaluation: Evaluation, tmp_path: Path) -> None:
-    """Rationale: one call leaves what a laboratory files. Expected: six documents as PDF and DOCX, the same bytes as made in memory;
+    """Rationale: one call leaves what a laboratory files. Expected: six documents as PDF and DOCX, the bytes made in memory;
     each names the campaign; no path of this machine; what stood in the folder stays; both languages print the
     same places of results.json, every measured indicator's value among them. Tolerance: none."""
     results = build_results(evaluation)
