@@ -38,6 +38,17 @@ Replace = Annotated[
     bool, Parameter(negative="", show_default=False, help="Replace an output folder of an earlier run.")
 ]
 Json = Annotated[bool, Parameter(name="--json", negative="", show_default=False, help="Print JSON instead of tables.")]
+Lang = Annotated[
+    Literal["zh", "en", "both"],
+    Parameter(
+        name="--language", help="Of reports, documents and tables: Chinese, English, or pages and documents in both."
+    ),
+]
+OneLanguage = Annotated[Literal["zh", "en"], Parameter(name="--language", help="Chinese or English.")]
+Documents = Annotated[
+    bool,
+    Parameter(show_default=False, help="Documents as PDF and DOCX and the 3D page; --no-documents leaves them out."),
+]
 Quiet = Annotated[bool, Parameter(negative="", show_default=False, help="No progress.")]
 
 
@@ -52,6 +63,8 @@ def run(
     *,
     out: Path | None = None,
     set_: Settings = (),
+    language: Lang = "zh",
+    documents: Documents = True,
     replace: Replace = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -72,8 +85,10 @@ def run(
     loaded = load_config(config, set_)
     target = out or Path("out") / loaded.campaign.id
     with display(quiet=quiet) as progress:
-        done = pipeline.run(loaded, target, progress, replace=replace)
-    _report(done, json)
+        done = pipeline.run(
+            loaded, target, progress, replace=replace, languages=_languages(language), documents=documents
+        )
+    _report(done, json, language)
 
 
 @app.command
@@ -119,11 +134,13 @@ def evaluate(
     *,
     out: Path | None = None,
     keep_going: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    language: Lang = "zh",
+    documents: Documents = True,
     replace: Replace = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Evaluate any campaign folder, flown or simulated: results.json and report.html.
+    """Evaluate any campaign folder, flown or simulated: results.json, report.html, view.html, documents/, observations/.
 
     Parameters
     ----------
@@ -139,12 +156,20 @@ def evaluate(
 
     target = out or campaign.resolve().parent / "results"
     with display(quiet=quiet) as progress:
-        done = pipeline.evaluate(campaign, target, progress, replace=replace, keep_going=keep_going)
-    _report(done, json)
+        done = pipeline.evaluate(
+            campaign,
+            target,
+            progress,
+            replace=replace,
+            keep_going=keep_going,
+            languages=_languages(language),
+            documents=documents,
+        )
+    _report(done, json, language)
 
 
 @app.command
-def score(campaign: Path, results: Path, /, *, json: Json = False) -> None:
+def score(campaign: Path, results: Path, /, *, language: OneLanguage = "zh", json: Json = False) -> None:
     """Compare results with the truth of a simulated campaign: score.json.
 
     Parameters
@@ -161,20 +186,154 @@ def score(campaign: Path, results: Path, /, *, json: Json = False) -> None:
     if json:
         _print_json(build_score(scored))
     else:
-        tables.print_score(scored, tables.console())
+        tables.print_score(scored, tables.console(), language)
         print(f"score: {target}")
 
 
 @app.command
+def plan(config: str, /, *, language: OneLanguage = "zh", set_: Settings = (), json: Json = False) -> int:
+    """What a campaign will be like before anything is flown: conformity, points, light, ranges. 1: it does not conform.
+
+    Parameters
+    ----------
+    config
+        A TOML file, or the name of one in configs/campaigns.
+    """
+    from campaign.load import load_config
+    from testrange import tables
+    from testrange.plan import plan_block, plan_campaign, print_plan
+
+    found = plan_campaign(load_config(config, set_))
+    if json:
+        _print_json(plan_block(found))
+    else:
+        print_plan(found, tables.console(), language)
+    return 0 if found.refusal is None else _fail(found.refusal, 1)
+
+
+@app.command
+def archive(
+    campaign: Path,
+    /,
+    *,
+    out: Path,
+    results: Path | None = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Package a campaign and its results for filing (10.3): one BagIt package that `testrange check` verifies.
+
+    Parameters
+    ----------
+    campaign
+        A campaign folder, or what testrange run wrote.
+    out
+        A name that ends in .zip, or a new folder.
+    results
+        Its results folder; results/ beside the campaign where testrange run wrote both.
+    """
+    from testrange import pipeline
+    from testrange.progress import display
+
+    with display(quiet=quiet) as progress:
+        pipeline.archive(campaign, results, out, progress)
+    if json:
+        _print_json({"archive": str(out), "bytes": out.stat().st_size if out.is_file() else None})
+    else:
+        print(f"archive: {out}")
+
+
+@app.command
+def export(
+    campaign: Path,
+    /,
+    *,
+    to: Literal["colmap", "odm", "clouds", "mcap"],
+    out: Path,
+    results: Path | None = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a campaign in the formats of other tools; docs/exports.md describes the files.
+
+    Parameters
+    ----------
+    campaign
+        A campaign folder.
+    to
+        colmap: images and model; odm: images with GPS tags and gcp_list.txt; clouds: PLY and PCD with image pairs;
+        mcap: a recording (extra `mcap`).
+    out
+        A new folder; for mcap also a file that ends in .mcap.
+    results
+        results.json: the adjusted mountings are used instead of the data sheets'.
+    """
+    from testrange.export import export_campaign
+    from testrange.progress import display
+
+    with display(quiet=quiet) as progress:
+        files = export_campaign(campaign, out, to, progress, results=results)
+    if json:
+        _print_json({"files": [str(f) for f in files]})
+    else:
+        print(f"{len(files)} files: {out}")
+
+
+@app.command
+def view(
+    place: Path,
+    /,
+    *,
+    port: Annotated[int, Parameter(help="0 takes a free one.")] = 8041,
+    rerun: Path | None = None,
+    out: Path | None = None,
+    language: OneLanguage = "zh",
+    quiet: Quiet = False,
+) -> None:
+    """Show the range in 3D: serves view.html to this machine only, until Ctrl-C.
+
+    Parameters
+    ----------
+    place
+        What testrange run or evaluate wrote, a page, or a campaign folder, which is then evaluated.
+    rerun
+        Write a recording with a time line to this .rrd file instead (extra `rerun`).
+    out
+        Write the page to this file and do not serve it.
+    """
+    from testrange import pipeline
+    from testrange.progress import display
+    from testrange.viewing import serve
+
+    with display(quiet=quiet) as progress:
+        if rerun is not None:
+            left_out = pipeline.record(place, rerun, progress)
+        else:
+            page = pipeline.view(place, out, progress, language)
+    if rerun is not None:
+        for line in left_out:
+            print(f"not shown: {line}")
+        print(f"recording: {rerun}")
+    elif out is not None:
+        print(f"3D page: {page}")
+    else:
+        serve(page, port)
+
+
+@app.command
 def check(path: str, /, *, set_: Settings = (), json: Json = False) -> int:
-    """Validate a campaign folder or a configuration: every problem at once.
+    """Validate a campaign folder, an archive or a configuration: every problem at once.
 
     Parameters
     ----------
     path
-        A campaign folder, a TOML file, or the name of one in configs/campaigns.
+        A campaign folder, an archive, a TOML file, or the name of one in configs/campaigns.
     """
-    if Path(path).is_dir():
+    from campaign.archive_check import check_archive, is_archive
+
+    if is_archive(Path(path)):
+        found = [(p.severity, p.where, p.message) for p in check_archive(Path(path))]
+    elif Path(path).is_dir():
         from campaign.check import check_campaign
 
         found = [(p.severity, p.where, p.message) for p in check_campaign(Path(path))]
@@ -259,7 +418,11 @@ def picture(run_folder: Path, /, *, out: Path, quiet: Quiet = False) -> None:
     print(f"picture: {out}")
 
 
-def _report(done: Any, as_json: bool) -> None:
+def _languages(language: Literal["zh", "en", "both"]) -> tuple[Literal["zh", "en"], ...]:
+    return ("zh", "en") if language == "both" else (language,)
+
+
+def _report(done: Any, as_json: bool, language: Literal["zh", "en", "both"]) -> None:
     """Prints what a run or an evaluation found."""
     from testrange import tables
 
@@ -276,12 +439,14 @@ def _report(done: Any, as_json: bool) -> None:
             )
         )
         return
-    console = tables.console()
-    tables.print_indicators(done.evaluation, console)
-    tables.print_conformity(done.evaluation, console)
+    console, words = tables.console(), _languages(language)[0]
+    tables.print_indicators(done.evaluation, console, words)
+    tables.print_conformity(done.evaluation, console, words)
     if done.score is not None:
-        tables.print_score(done.score, console)
+        tables.print_score(done.score, console, words)
     print(f"report: {results / 'report.html'}")
+    if (results / "documents").is_dir():
+        print(f"3D page: {results / 'view.html'}, documents: {results / 'documents'}")
     print(f"run time: {done.seconds:.1f} s, peak resident memory: {done.peak_memory_mb:,.0f} MB")
 
 

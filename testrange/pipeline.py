@@ -4,6 +4,7 @@ Formulas and files live in the rooms that this calls. Output folders appear comp
 """
 
 import dataclasses
+import json
 import resource
 import sys
 import time
@@ -14,7 +15,8 @@ from typing import TYPE_CHECKING
 
 from campaign.atomic import complete_folder
 from campaign.config import Config, Part
-from campaign.errors import CampaignError
+from campaign.errors import CampaignError, TestrangeError
+from evaluator.documents.model import Language
 from evaluator.model import EvaluationError
 from evaluator.results import Evaluation, write_results
 from evaluator.score import Score, score_campaign, write_score
@@ -44,8 +46,20 @@ def peak_memory_mb() -> float:
     return (own + child) * unit / 1e6
 
 
-def _write_results(folder: Path, campaign: Path, evaluation: Evaluation, *, score: bool) -> Score | None:
-    """results.json, score.json and report.html into `folder`."""
+def _write_results(
+    folder: Path,
+    campaign: Path,
+    evaluation: Evaluation,
+    languages: Sequence[Language],
+    progress: ProgressCallback,
+    *,
+    score: bool,
+    documents: bool,
+) -> Score | None:
+    """results.json, score.json and report.html into `folder`; with `documents` view.html, observations/ and documents/ too.
+
+    Pages in a second language have it in their name: report_en.html.
+    """
     from evaluator.report import write_report
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -53,8 +67,37 @@ def _write_results(folder: Path, campaign: Path, evaluation: Evaluation, *, scor
     scored = score_campaign(campaign, folder / "results.json") if score else None
     if scored is not None:
         write_score(folder / "score.json", scored)
-    write_report(folder / "report.html", evaluation, scored)
+    for k, language in enumerate(languages):
+        progress("report", k, len(languages))
+        write_report(folder / f"report{f'_{language}' if k else ''}.html", evaluation, scored, language)
+    progress("report", len(languages), len(languages))
+    if documents:
+        _write_documents(folder, campaign, evaluation, languages, progress, truth=score)
     return scored
+
+
+def _write_documents(
+    folder: Path,
+    campaign: Path,
+    evaluation: Evaluation,
+    languages: Sequence[Language],
+    progress: ProgressCallback,
+    *,
+    truth: bool,
+) -> None:
+    from evaluator.documents import write_documents
+    from evaluator.documents.observations import write_observations
+    from evaluator.score_points import point_errors
+    from evaluator.view import write_view
+
+    results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    write_observations(folder / "observations", evaluation)
+    write_documents(folder / "documents", evaluation, results, languages, progress)
+    errors = point_errors(campaign) if truth else None
+    for k, language in enumerate(languages):
+        progress("3D page", k, len(languages))
+        write_view(folder / f"view{f'_{language}' if k else ''}.html", evaluation, results, errors, language)
+    progress("3D page", len(languages), len(languages))
 
 
 def _merged(known: Sequence[str], met: Sequence[str]) -> tuple[str, ...]:
@@ -95,9 +138,17 @@ def _refuse_unsound(campaign: Path, keep_going: bool) -> list[str]:
 
 
 def evaluate(
-    campaign: Path, out: Path, progress: ProgressCallback, *, replace: bool = False, keep_going: bool = False
+    campaign: Path,
+    out: Path,
+    progress: ProgressCallback,
+    *,
+    replace: bool = False,
+    keep_going: bool = False,
+    languages: Sequence[Language] = ("zh",),
+    documents: bool = True,
 ) -> Run:
-    """Evaluates any campaign folder, flown or simulated, into `out`: results.json and report.html. Truth is not looked at.
+    """Evaluates any campaign folder, flown or simulated, into `out`: results.json, report.html, view.html, observations and
+    documents. Truth is not looked at.
 
     A folder with an error, or a target that no image or strip holds, is refused; with `keep_going` what is damaged is left
     out and named in the results.
@@ -118,8 +169,7 @@ def evaluate(
                 str(error), where=str(campaign), remedy=f"{KEEP_GOING} evaluates all the same"
             ) from None
         evaluation = dataclasses.replace(evaluation, problems=_merged(known, evaluation.problems))
-        progress("report", 0, 1)
-        _write_results(work, campaign, evaluation, score=False)
+        _write_results(work, campaign, evaluation, languages, progress, score=False, documents=documents)
     return Run(
         evaluation=evaluation,
         score=None,
@@ -129,7 +179,15 @@ def evaluate(
     )
 
 
-def run(config: Config, out: Path, progress: ProgressCallback, *, replace: bool = False) -> Run:
+def run(
+    config: Config,
+    out: Path,
+    progress: ProgressCallback,
+    *,
+    replace: bool = False,
+    languages: Sequence[Language] = ("zh",),
+    documents: bool = True,
+) -> Run:
     """Simulates, evaluates, scores and reports into `out`/campaign and `out`/results."""
     from evaluator.evaluate import evaluate_campaign
     from simulator.simulate import simulate_campaign
@@ -139,9 +197,9 @@ def run(config: Config, out: Path, progress: ProgressCallback, *, replace: bool 
         (work / "campaign").mkdir()
         simulate_campaign(config, work / "campaign", progress)
         evaluation = evaluate_campaign(work / "campaign", progress)
-        progress("report", 0, 1)
-        score = _write_results(work / "results", work / "campaign", evaluation, score=True)
-        progress("report", 1, 1)
+        score = _write_results(
+            work / "results", work / "campaign", evaluation, languages, progress, score=True, documents=documents
+        )
     return Run(
         evaluation=evaluation,
         score=score,
@@ -175,6 +233,56 @@ def picture(run_folder: Path, out: Path, progress: ProgressCallback) -> None:
     evaluation = evaluate_campaign(campaign, progress)
     with complete_file(out) as work:
         hero_picture(work, evaluation)
+
+
+def archive(campaign: Path, results: Path | None, out: Path, progress: ProgressCallback) -> Path:
+    """One verifiable package of a campaign and its results (10.3). `campaign` may be what `run` wrote, which has both."""
+    from campaign.archive import write_archive
+
+    if (campaign / "campaign" / "manifest.json").is_file():
+        beside = campaign / "results"
+        campaign, results = campaign / "campaign", results or (beside if beside.is_dir() else None)
+    write_archive(campaign, results, out, progress)
+    return out
+
+
+def view(place: Path, out: Path | None, progress: ProgressCallback, language: Language) -> Path:
+    """The 3D page of a run, of results or of a campaign: the one there is, or a new one of a campaign that is evaluated for it
+    and written to `out` (view.html beside the campaign)."""
+    from evaluator.evaluate import evaluate_campaign
+    from evaluator.results import build_results
+    from evaluator.score_points import point_errors
+    from evaluator.view import write_view
+    from testrange.viewing import find_page
+
+    campaign = place / "campaign" if (place / "campaign").is_dir() else place
+    if out is None:
+        try:
+            return find_page(place)
+        except TestrangeError:
+            if not (campaign / "manifest.json").is_file():
+                raise
+    elif not (campaign / "manifest.json").is_file():
+        raise CampaignError("no campaign in it", where=str(place), expected="a campaign folder")
+    evaluation = evaluate_campaign(campaign, progress)
+    target = out or campaign.resolve().parent / "view.html"
+    write_view(target, evaluation, build_results(evaluation), point_errors(campaign), language)
+    return target
+
+
+def record(place: Path, out: Path, progress: ProgressCallback) -> list[str]:
+    """A recording with a time line for the viewer of the extra `rerun`; returns what could not be shown."""
+    from campaign.atomic import complete_file
+    from evaluator.evaluate import evaluate_campaign
+    from evaluator.score_points import point_errors
+    from testrange.rerun_log import write_rrd
+
+    campaign = place / "campaign" if (place / "campaign").is_dir() else place
+    if not (campaign / "manifest.json").is_file():
+        raise CampaignError("no campaign in it", where=str(place), expected="a campaign folder")
+    evaluation = evaluate_campaign(campaign, progress)
+    with complete_file(out) as work:
+        return write_rrd(work, evaluation, point_errors(campaign))
 
 
 def faults(

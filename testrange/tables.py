@@ -1,7 +1,8 @@
 """What the command line prints: the table of indicators, what does not conform, the score. At most 100 columns."""
 
 import sys
-from typing import TYPE_CHECKING, Any, TextIO
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -9,6 +10,8 @@ from rich.table import Table
 from rich.text import Text
 
 from evaluator.c10_1_grading import GRADE_ZH, GROUPS, INDICATORS, Grade, group_grades
+from evaluator.documents.model import Language, say
+from evaluator.documents.phrases import STATUS, translated
 from evaluator.results import Evaluation, shown_decimals
 from evaluator.score import Score, decimals
 
@@ -42,26 +45,40 @@ def _figure(value: float, unit: str) -> str:
     return f"{value:.{shown_decimals(value, unit)}f} {'px' if unit == 'pixel' else '%'}"
 
 
-def print_indicators(evaluation: Evaluation, out: Console) -> None:
+def _table(title: str, columns: Iterable[tuple[str, Literal["left", "right"]]]) -> Table:
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for name, justify in columns:
+        table.add_column(name, justify=justify, no_wrap=True)
+    return table
+
+
+def _grade_word(grade: Grade, language: Language) -> str:
+    return say(language, GRADE_ZH[grade], grade.replace("_", " "))
+
+
+def print_indicators(evaluation: Evaluation, out: Console, language: Language = "zh") -> None:
     """The eight indicators, why some were not measured, and the grades of their groups."""
-    table = Table(
-        title=f"GB/T 41450-2022 · {evaluation.campaign}", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    table = _table(
+        f"GB/T 41450-2022 · {evaluation.campaign}",
+        (
+            (say(language, "检测项目", "indicator"), "left"),
+            ("", "left"),
+            (say(language, "检测结果", "value"), "right"),
+            (say(language, "95 % 区间", "95 %"), "right"),
+            (say(language, "样本数", "n"), "right"),
+            (say(language, "一致性程度", "grade"), "left"),
+        ),
     )
-    table.add_column("indicator", no_wrap=True)
-    table.add_column("指标", no_wrap=True)
-    for name in ("value", "95 %", "n"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("grade", no_wrap=True)
     for i, row in INDICATORS.items():
         found, mark = evaluation.indicator(i), evaluation.grade(i)
-        grade = Text(f"{mark.replace('_', ' ')} {GRADE_ZH[mark]}", style=_COLOUR[mark])
-        name = _SHORT.get(i, row.name_en)
+        grade = Text(_grade_word(mark, language), style=_COLOUR[mark])
+        name = say(language, row.name_zh, _SHORT.get(i, row.name_en))
         if found.value is None:
-            table.add_row(name, row.name_zh, "–", "", "", grade)
+            table.add_row(name, row.symbol, "–", "", "", grade)
             continue
         bounds = [f"{v:.{shown_decimals(v, row.unit)}f}" for v in (found.low_95, found.high_95) if v is not None]
         interval = " – ".join(bounds) if len(bounds) == 2 else ""
-        table.add_row(name, row.name_zh, _figure(found.value, row.unit), interval, str(found.sample_size), grade)
+        table.add_row(name, row.symbol, _figure(found.value, row.unit), interval, str(found.sample_size), grade)
     out.print(table)
     reasons: dict[str, list[str]] = {}
     for i in INDICATORS:
@@ -69,38 +86,45 @@ def print_indicators(evaluation: Evaluation, out: Console) -> None:
         if reason:
             reasons.setdefault(reason, []).append(INDICATORS[i].symbol)
     for reason, symbols in reasons.items():
-        out.print(Text(f"not measured: {', '.join(symbols)}: {reason}", style="dim"))
+        words = say(language, f"未测：{'、'.join(symbols)}：", f"not measured: {', '.join(symbols)}: ")
+        out.print(Text(words + translated(reason, language), style="dim"))
     groups = group_grades(evaluation.grades())
-    graded = [f"{g.name_en}: {groups[g.id]} {GRADE_ZH[groups[g.id]]}" for g in GROUPS if groups[g.id] != "not_measured"]
+    graded = [
+        say(language, f"{g.name_zh}：{GRADE_ZH[groups[g.id]]}", f"{g.name_en}: {_grade_word(groups[g.id], language)}")
+        for g in GROUPS
+        if groups[g.id] != "not_measured"
+    ]
     if graded:
-        out.print("groups: " + "; ".join(graded))
+        out.print(say(language, "；", "; ").join(graded))
 
 
-def print_conformity(evaluation: Evaluation, out: Console) -> None:
+def print_conformity(evaluation: Evaluation, out: Console, language: Language = "zh") -> None:
     """Counts, and every row that fails or warns."""
     counts: dict[str, int] = {}
     for row in evaluation.conformity:
         counts[row.status] = counts.get(row.status, 0) + 1
     if not counts:
         return
-    out.print("conformity: " + ", ".join(f"{n} {status.replace('_', ' ')}" for status, n in sorted(counts.items())))
+    told = [f"{n} {say(language, *STATUS[status])}" for status, n in sorted(counts.items())]
+    out.print(say(language, "符合性：", "conformity: ") + say(language, "，", ", ").join(told))
     for row in evaluation.conformity:
         if row.status in ("fail", "warning"):
-            style = "red" if row.status == "fail" else "yellow"
-            text = Text(
-                f"  {row.status} {row.clause} {row.requirement}: {row.measured}; limit {row.limit}", style=style
-            )
-            out.print(text)
+            requirement, measured, limit = (translated(t, language) for t in (row.requirement, row.measured, row.limit))
+            found = say(language, f"：{measured}；限值 {limit}", f": {measured}; limit {limit}")
+            text = f"  {say(language, *STATUS[row.status])} {row.clause} {requirement}{found}"
+            out.print(Text(text, style="red" if row.status == "fail" else "yellow"))
 
 
-def print_score(score: Score, out: Console) -> None:
+def print_score(score: Score, out: Console, language: Language = "zh") -> None:
     """Truth against estimate of the quantities that matter most, and the greatest |z|."""
     if not score.items:
-        out.print("score: nothing was estimated whose truth is known")
+        out.print(say(language, "评分：没有已知真值的估计量", "score: nothing was estimated whose truth is known"))
         return
-    table = Table(title="score against truth/", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for name in ("quantity", "truth", "estimate", "error", "std", "z"):
-        table.add_column(name, justify="left" if name == "quantity" else "right")
+    heads = say(language, "参数,真值,估计值,误差,标准差,z", "quantity,truth,estimate,error,std,z").split(",")
+    table = _table(
+        say(language, "与真值（truth/）比较", "score against truth/"),
+        [(name, "right" if k else "left") for k, name in enumerate(heads)],
+    )
     for item in score.items:
         z = "–" if item.z is None else f"{item.z:+.2f}"
         digits = decimals(item.std)
@@ -114,7 +138,8 @@ def print_score(score: Score, out: Console) -> None:
         )
     out.print(table)
     if score.max_abs_z is not None:
-        out.print(f"greatest |z| of {len(score.items)} quantities: {score.max_abs_z:.2f}")
+        n, z = len(score.items), f"{score.max_abs_z:.2f}"
+        out.print(say(language, f"{n} 个参数中最大 |z|：{z}", f"greatest |z| of {n} quantities: {z}"))
 
 
 def summary(evaluation: Evaluation, score: Score | None, **more: Any) -> dict[str, Any]:
@@ -144,10 +169,12 @@ def summary(evaluation: Evaluation, score: Score | None, **more: Any) -> dict[st
 
 def print_faults(matrix: "FaultMatrix", out: Console) -> None:
     """One row a fault: where it shows, its z there, and the verdict; then the pairs that this flight cannot tell apart."""
-    title = f"fault matrix, |z| > {matrix.limit:.2f} is a deviation"
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for name in ("fault", "shows at", "verdict"):
-        table.add_column(name)
+    table = _table(
+        f"fault matrix, |z| > {matrix.limit:.2f} is a deviation",
+        (("fault", "left"), ("shows at", "left"), ("verdict", "left")),
+    )
+    for column in table.columns:
+        column.no_wrap = False
     for r in matrix.results:
         z = {row["quantity"]: row["z"] for row in r.rows}
         shown = [f"{q} {z[q]:+.1f}" for q in r.beyond(matrix.limit)] + [f"survey of {t}" for t in r.doubts]

@@ -75,33 +75,33 @@ def stubs(monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
     return seen
 
 
-def test_run(stubs: dict[str, object], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Rationale: the main command end to end around stubs. Expected: campaign/ and results/ with three files, settings arrive, the
-    table in both languages within 100 columns, the failed clause, the score, run time and memory, progress on stderr only."""
+WORDS = {
+    "en": ("Mean calibration error", "0.432 px", "not measured", "excellent", "fail 7.2 c", "1 fail, 1 pass", "+1.03"),
+    "zh": ("平均标定误差", "0.432 px", "未测：RSD", " 优 ", "不符合 7.2 c", "1 不符合，1 符合", "+1.03"),
+}
+
+
+@pytest.mark.parametrize("language", ["en", "zh"])
+def test_run(language: str, stubs: dict[str, object], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rationale: the main command end to end around stubs. Expected: campaign/ and results/ with all files, settings arrive, the
+    table in the language within 100 columns, the failed clause, the score, run time and memory, progress on stderr only."""
     out = tmp_path / "demo"
-    code = cli.call(
-        ["run", "quickstart", "--out", str(out), "--set", "seed=7", "--set", "flight.heights_m=[30.0, 40.0]"]
-    )
+    settings = ["--set", "seed=7", "--set", "flight.heights_m=[30.0, 40.0]"]
+    code = cli.call(["run", "quickstart", "--out", str(out), "--language", language, *settings])
     printed = capsys.readouterr()
     assert code == 0
     config = stubs["config"]
     assert isinstance(config, Config)
     assert (config.seed, config.flight.heights_m) == (7, (30.0, 40.0))
-    assert sorted(p.name for p in (out / "results").iterdir()) == ["report.html", "results.json", "score.json"]
+    expected = ["documents", "report.html", "results.json", "score.json", "view.html"]
+    assert sorted(p.name for p in (out / "results").iterdir()) == expected
+    reports = sorted(p.name for p in (out / "results" / "documents").iterdir() if p.name.startswith("test_report"))
+    assert reports == [f"test_report_{language}.docx", f"test_report_{language}.pdf"]
     assert (out / "campaign" / "manifest.json").is_file()
-    for word in (
-        "平均标定误差",
-        "0.432 px",
-        "not measured 未测 ",
-        "excellent 优",
-        "fail 7.2 c",
-        "1 fail, 1 pass",
-        "+1.03",
-        "run time",
-        "peak resident",
-    ):
+    for word in (*WORDS[language], "run time", "peak resident"):
         assert word in printed.out
-    assert "not measured: RSD: no bench/sphere_stability in this campaign" in printed.out
+    if language == "en":
+        assert "not measured: RSD: no bench/sphere_stability in this campaign" in printed.out
     wide = {"─", "│"}
     assert max(sum(2 if ord(c) > 0x2E80 and c not in wide else 1 for c in line) for line in printed.out.splitlines()
                if str(tmp_path) not in line) <= 100  # fmt: skip
@@ -243,8 +243,9 @@ def test_evaluate_default_place(stubs: dict[str, object], tmp_path: Path, capsys
     campaign = tmp_path / "campaign"
     campaign.mkdir()
     (campaign / "manifest.json").write_text("{}")
-    assert cli.call(["evaluate", str(campaign), "--quiet", "--keep-going"]) == 0
-    assert sorted(p.name for p in (tmp_path / "results").iterdir()) == ["report.html", "results.json"]
+    assert cli.call(["evaluate", str(campaign), "--quiet", "--keep-going", "--no-documents", "--language", "both"]) == 0
+    written = sorted(p.name for p in (tmp_path / "results").iterdir())
+    assert written == ["report.html", "report_en.html", "results.json"]
     assert "greatest |z|" not in capsys.readouterr().out
 
 
@@ -258,7 +259,7 @@ def test_score_prints_large_z(
         pipeline, "score_campaign", lambda root, results: replace(SCORE, items=(item, replace(item, z=-4.5)))
     )
     (tmp_path / "results.json").write_text("{}")
-    assert cli.call(["score", str(tmp_path), str(tmp_path)]) == 0
+    assert cli.call(["score", str(tmp_path), str(tmp_path), "--language", "en"]) == 0
     printed = capsys.readouterr().out
     assert "-4.50" in printed
     assert "greatest |z| of 2 quantities: 4.50" in printed
