@@ -120,8 +120,10 @@ def system_table(evaluation: Evaluation, language: Language) -> Table:
         calibration = c.calibration
         rows.append(
             (
-                say(language, "内方位元素检定证书", "certificate of interior orientation"),
-                f"{calibration.certificate}  {calibration.date}" if calibration else not_stated(language),
+                say(language, "内方位元素来源", "interior orientation by"),
+                f"{translated(calibration.certificate, language)}  {calibration.date}"
+                if calibration
+                else not_stated(language),
             )
         )
     if not rows:

@@ -297,6 +297,7 @@ second class standard, certificate of the range's own lamp => 二级标准，检
 400-1700 nm, 5 nm => 400 nm～1700 nm，间隔 5 nm
 Try the whole chain on two heights and four headings => 以两个航高、四个航向试验全流程
 Determine mounting angles, offsets and clocks, and tell them from one another => 测定并区分安置角、偏心分量和时钟偏差
+9.2 of this campaign => 本次检测 9.2 标定
 multirotor of the M300 class => M300 级多旋翼
 # records that the campaign does not hold: last, because anything may follow "no"
 no plan.json => 无 plan.json
