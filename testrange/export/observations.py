@@ -1,4 +1,4 @@
-"""Where surveyed targets were seen in the images: what a person picked, else the evaluator's finding."""
+"""Where surveyed targets were seen in the images: a person's picks, else the results', else found here."""
 
 import re
 from dataclasses import dataclass
@@ -36,13 +36,15 @@ def find_sightings(source: Source, shots: list[Shot], progress: Report) -> list[
     left_out = _rejected(source)
     known = {t.id for t in source.data.targets if t.kind in wanted}
     hand: dict[int, list[CameraObservation]] = {}
+    written: dict[int, list[CameraObservation] | None] = {}
     found: list[Sighting] = []
     progress("observations", 0, len(shots))
     for done, shot in enumerate(shots, start=1):
         number = shot.sortie.folder.number
         if number not in hand:
             hand[number] = _picked(source, shot.sortie)
-        seen = _seen(source, shot, hand[number], wanted)
+            written[number] = _written(source, number)
+        seen = _seen(source, shot, hand[number], written[number], wanted)
         height, width = source.camera.height_px, source.camera.width_px
         for target, uv in sorted(seen.items()):
             inside = 0.0 <= uv[0] <= width and 0.0 <= uv[1] <= height
@@ -57,9 +59,30 @@ def _picked(source: Source, sortie: SortieData) -> list[CameraObservation]:
     return read_camera_observations(source.data.folder.held(path)) if path.is_file() else []
 
 
-def _seen(source: Source, shot: Shot, picked: list[CameraObservation], wanted: set[str]) -> dict[str, np.ndarray]:
-    """Target -> pixel in one image; a target that cannot be found is left out."""
+def _written(source: Source, number: int) -> list[CameraObservation] | None:
+    """What the evaluation wrote of one sortie; None where it wrote nothing."""
+    if source.results_folder is None:
+        return None
+    path = (
+        source.results_folder
+        / "observations"
+        / f"{number:02d}"
+        / source.data.folder.sortie(number).observations_camera.name
+    )
+    return read_camera_observations(path) if path.is_file() else None
+
+
+def _seen(
+    source: Source,
+    shot: Shot,
+    picked: list[CameraObservation],
+    written: list[CameraObservation] | None,
+    wanted: set[str],
+) -> dict[str, np.ndarray]:
+    """Target -> pixel in one image; a target that cannot be found is left out. Person's picks are in what was written."""
     data, rig = source.data, source.rig
+    if written is not None and wanted == {"frustum"}:
+        return {o.target: np.array([o.u_px, o.v_px]) for o in written if o.image == shot.exposure.image}
     image = read_shot(source, shot)
     nominal = nominal_mountings(rig)[0]
     heights = {(s.sortie, s.strip): s.height_m for s in data.plan.strips} if data.plan is not None else {}

@@ -61,6 +61,7 @@ class Source:
     lidar_clock_s: float
     adjusted: bool
     results: Mapping[str, Any] | None
+    results_folder: Path | None  # where results.json stands, with observations/
     basis: str  # one line: where mountings, lens and ranges come from
 
     @property
@@ -187,6 +188,7 @@ def open_source(campaign: Path, results: Path | None) -> Source:
         lidar_clock_s=0.0,
         adjusted=False,
         results=None,
+        results_folder=None,
         basis=f"mountings: nominal (sensors/rig.json); lens: {stated}; ranges: as measured",
     )
     if results is None:
@@ -197,7 +199,7 @@ def open_source(campaign: Path, results: Path | None) -> Source:
         raise EvaluationError(
             "results of another campaign", where=str(file), got=content["campaign"], expected=data.manifest.campaign
         )
-    return _with_results(plain, content, file)
+    return _with_results(replace(plain, results=content, results_folder=file.parent), content, file)
 
 
 def _with_results(plain: Source, content: dict[str, Any], file: Path) -> Source:
@@ -205,7 +207,7 @@ def _with_results(plain: Source, content: dict[str, Any], file: Path) -> Source:
     block = content["mounting"]
     if block.get("status") != "measured":
         reason = str(block.get("reason", ""))[:200]
-        return replace(plain, results=content, basis=f"{plain.basis}; the results hold no adjusted mounting: {reason}")
+        return replace(plain, basis=f"{plain.basis}; the results hold no adjusted mounting: {reason}")
     try:
         clocks = dict(zip(block["names"], block["estimates"]))
         companions = content["indicators"]["calibration_error"]["companions"]
@@ -220,7 +222,6 @@ def _with_results(plain: Source, content: dict[str, Any], file: Path) -> Source:
             camera_clock_s=_number(clocks.get("camera_clock", 0.0)),
             lidar_clock_s=_number(clocks.get("lidar_clock", 0.0)),
             adjusted=True,
-            results=content,
             basis=f"mountings and clocks: adjusted (results.json); lens: {lens_line}; ranges: "
             + ("as measured" if correction is None else "corrected by (15)"),
         )

@@ -129,6 +129,28 @@ def test_picks_of_a_person_become_ground_control(tiny_copy: Path, tmp_path: Path
     assert len(lines) > 10
 
 
+def test_what_the_evaluation_wrote_is_not_found_again(tiny_run: Path, tmp_path: Path) -> None:
+    """Rationale: the export's control points are those of the handbooks. Expected: the pixels of results/observations alone, a
+    panel's corners not among them, blunders left out.
+    """
+    shutil.copy(tiny_run / "results" / "results.json", tmp_path)
+    blunder = "rejected", ["mark of F02 in s01_l01_001.tif (sortie 1)"]
+    rewrite("results.json", lambda c: c["mounting"].update([blunder]))(tmp_path)  # type: ignore[attr-defined]
+    for sortie in ("01", "02"):
+        image = f"s{sortie}_l01_001.tif"
+        rows = [("F01", 700.25, 500.75), ("F02", 1.0, 2.0), ("P01", 3.0, 4.0), ("P01", 5.0, 4.0), ("F03", 9000.0, 1.0)]
+        text = "".join(f"{target},{image},{u},{v}\n" for target, u, v in rows)
+        (tmp_path / "observations" / sortie).mkdir(parents=True)
+        (tmp_path / "observations" / sortie / "observations_camera.csv").write_text("target,image,u_px,v_px\n" + text)
+    export_campaign(tiny_run / "campaign", tmp_path / "out", "odm", results=tmp_path)
+    lines = [line.split()[3:] for line in (tmp_path / "out" / "gcp_list.txt").read_text().splitlines()[1:]]
+    assert lines == [
+        ["699.750", "500.250", "s01_l01_001.jpg", "F01"],
+        ["699.750", "500.250", "s02_l01_001.jpg", "F01"],
+        ["0.500", "1.500", "s02_l01_001.jpg", "F02"],
+    ]
+
+
 def test_targets_occupied_or_unknown_are_refused(tiny_run: Path, tmp_path: Path) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine").touch()
