@@ -18,8 +18,8 @@ _LEAST_CORRELATION = 0.6
 _LEAST_CONTRAST = 0.35  # of white to black over white
 _WORST_FIT = 0.06  # residuals over contrast
 _LARGEST_STD_PX = 0.15
-_FLOOR_PX = 0.004  # standard deviation below which no centre is stated
-_CORRELATED = 1.4  # factor on the deviation: neighbouring residuals have causes in common
+_FLOOR_PX = 0.0005  # standard deviation below which no centre is stated
+_CORRELATED = 1.3  # factor on the deviation: neighbouring residuals have causes in common
 _START_BLUR_PX, _BLUR_PX = 0.6, (0.25, 2.0)  # standard deviation with the pixel's own square in it; what is believed
 _SHAPE_STD = np.array([0.02, 0.035, 0.035, 0.02])  # of the predicted shape: 1 degree of mounting at 40 degrees of slant
 _MOST_OUTSIDE = 0.2  # share of a pixel outside the board; beyond, it says nothing about the centre
@@ -150,7 +150,15 @@ _STEPS = np.array([1e-3, 1e-3, 1e-5, 1e-5, 1e-5, 1e-5, 1e-3])
 
 
 def _refine(view: BoardView, uv: np.ndarray, value: np.ndarray, start: np.ndarray) -> _State | None:
-    """Gauss-Newton on centre, shape and blur; levels and a slope of the light across the board are linear."""
+    """Gauss-Newton on centre, shape and blur; levels and a slope of the light across the board are linear.
+
+    The covariance is that of an M-estimate whose residuals differ in size (Huber's sandwich): pixels on edges, which alone say
+    where the centre is, are less certain than those inside the squares, and the mean residual would state half of it.
+
+    References
+    ----------
+    P. J. Huber, Robust Statistics, 1981, section 7.6.
+    """
     p = start.copy()
     _, edge = sides_px(view)
     state: _State | None = None
@@ -209,10 +217,14 @@ def _refine(view: BoardView, uv: np.ndarray, value: np.ndarray, start: np.ndarra
         levels[[0, 1, *sides]] = solution[7 : 9 + len(sides)]
         freedom = max(float(weight.sum()) - design.shape[1], 1.0)
         variance = float(np.sum(weight * residual**2)) / freedom
+        inner = design * (weight == 1.0)[:, None]
+        normal = design.T @ inner + np.diag(prior * scale**2)
+        inverse = np.linalg.inv(normal + 1e-9 * np.diag(np.maximum(np.diag(normal), 1e-12)))
+        pulls = design @ inverse[:, :2] * (weight * residual)[:, None]  # of each pixel on the centre
         done = iteration >= 3 and bool(np.abs(step[:2]).max() < 1e-3)
         state = _State(
             p=p,
-            covariance=inverse[:2, :2] * variance,
+            covariance=pulls.T @ pulls * (len(y) / freedom),
             levels=levels,
             rms=float(np.sqrt(variance)),
             pixels=int(use.sum()),
