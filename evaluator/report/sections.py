@@ -11,7 +11,7 @@ from evaluator.camera_model import LENS_NAMES, lens_vector
 from evaluator.report.terms import method, parameter, reason, strip
 from evaluator.report.texts import Texts
 from evaluator.report.words import HOW
-from evaluator.results import Evaluation, correlation_matrix, plain, shown_decimals
+from evaluator.results import Evaluation, plain, shown_decimals
 from evaluator.score import decimals
 
 _LONG = 8  # a longer list is counted, not printed
@@ -300,11 +300,8 @@ def board_rows(results: Mapping[str, Any], t: Texts) -> list[dict[str, Any]]:
         return []
     count = block.get("half_window_count") or {}
     weak = {w["parameter"]: w for w in block["not_determined"]}
-    matrix = correlation_matrix(np.array(block["covariance"], dtype=np.float64))
     rows = []
     for k, n in enumerate(block["names"]):
-        others = np.abs(matrix[k]) - 2.0 * np.eye(len(matrix))[k]
-        partner = int(others.argmax())
         entry = weak.get(n)
         rows.append(
             {
@@ -314,12 +311,7 @@ def board_rows(results: Mapping[str, Any], t: Texts) -> list[dict[str, Any]]:
                 "std": block["std"][k],
                 "prior": block["prior_std"][k],
                 "count": (count["estimates"][k], count["std"][k]) if count.get("estimates") else None,
-                "greatest": t(
-                    "correlated_with",
-                    other=parameter(block["names"][partner], t.language),
-                    rho=f"{matrix[k, partner]:.2f}",
-                ),
-                "weak": entry is not None,
+                "weak": _weak_text(entry, t) if entry else "",
                 "help": _help_text(entry, "helping_strip", t),
             }
         )

@@ -136,6 +136,11 @@ _REASONS = (
     (re.compile(r"^no reflectance by LiDAR: (.+)$"), r"没有激光雷达反射率：\1"),
 )
 _METHODS = (
+    (re.compile(r"^bootstrap over images, (\d+) fixed draws.*$"), r"对影像自助法重采样 \1 次（标定结果固定）"),
+    (
+        re.compile(r"^propagation of the covariance of the corrected ranges.*$"),
+        "由改正后测距与相对真值的协方差（扫描与读数离散、证书、归心元素、K₂ 和 R₂）传播至 m_j，正态分布",
+    ),
     (re.compile(r"^bootstrap over (\d+) panels, (\d+) resamples$"), r"对 \1 块参考板自助法重采样 \2 次"),
     (re.compile(r"^bootstrap over targets and strips, (\d+) draws$"), r"对靶标与航线自助法重采样 \1 次"),
     (

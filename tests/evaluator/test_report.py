@@ -160,6 +160,76 @@ def test_bare_report(evaluation: Evaluation, bare_data: CampaignData, tmp_path: 
     assert 'id="flight"' not in text and 'id="images"' not in text
 
 
+NAMES = tuple(f"camera_{n}" for n in ("boresight_roll", "boresight_pitch", "lever_arm_x"))
+
+
+@pytest.mark.usefixtures("quick")
+def test_what_the_flight_does_not_determine(evaluation: Evaluation, tmp_path: Path) -> None:
+    """Rationale: a flight on one heading gives no number for what it cannot tell; swapped boards, a contradiction between the
+    sensors and clocks must meet the eye. Expected: "not determined" with the partner, its correlation and the strip that helps,
+    in place of the estimate; the swapped pair; "do not agree"; the half-window count beside the sub-pixel centres."""
+    weak = {
+        "parameter": "camera_lever_arm_x",
+        "unit": "m",
+        "reason": "tied",
+        "std": 0.06,
+        "prior_std": 0.1,
+        "partner": "camera_boresight_pitch",
+        "correlation": -0.97,
+        "helping_strip": "opposite heading",
+        "std_with_it": 0.0021,
+    }
+    boards = {
+        "status": "measured",
+        "names": NAMES,
+        "units": ("deg", "deg", "m"),
+        "estimates": (0.8, -0.5, None),
+        "std": (0.01, 0.01, 0.06),
+        "prior_std": (1.0, 1.0, 0.1),
+        "covariance": [[1e-4, 0.0, 0.0], [0.0, 1e-4, -5.8e-4], [0.0, -5.8e-4, 3.6e-3]],
+        "not_determined": (weak,),
+        "observations": 40,
+        "images": 5,
+        "mean_residual_px": 0.3,
+        "mean_residual_without_navigation_px": 0.2,
+        "sigma0": 1.0,
+        "redundancy": 80,
+        "rejected": ("B01 and B02 are swapped: each fits at the other's place",),
+        "swapped": (("B01", "B02"),),
+        "half_window_count": {
+            "observations": 40,
+            "spread_against_fit_px": 0.31,
+            "mean_residual_px": 0.5,
+            "estimates": (0.79, -0.51, 0.02),
+            "std": (0.02, 0.02, 0.07),
+        },
+    }
+    six = [f"camera_from_lidar_{n}" for n in ("roll", "pitch", "yaw", "x", "y", "z")]
+    closure = {
+        "names": six,
+        "units": ["deg"] * 3 + ["m"] * 3,
+        **{key: [0.01] * 6 for key in ("composed", "joint", "difference", "std", "half_width_95")},
+        "z": [4.4] * 6,
+        "chi_square": 30.0,
+        "freedom": 6,
+        "limit_95": 12.59,
+        "closes": False,
+    }
+    page = replace(evaluation, boards=boards, closure=closure, data=None, waveforms=(), panels=(), residuals=())
+    write_report(tmp_path / "r.html", page, None, "en")
+    text = words(tmp_path / "r.html")
+    assert "not determined : ρ = -0.97 with camera boresight pitch" in re.sub(
+        r"\s+:", " :", text.replace("determined:", "determined :")
+    )
+    assert "a strip that would help: opposite heading, std then 0.0021" in text
+    assert "B01 ↔ B02" in text
+    assert "do not agree" in text and "+4.40" in text
+    assert "+0.790 (0.020)" in text and "spread against the sub-pixel centres 0.31 px" in text
+    write_report(tmp_path / "r.html", page, None, "zh")
+    text = words(tmp_path / "r.html")
+    assert "可加飞：对向航线，标准差将为 0.0021" in text and "不闭合" in text
+
+
 def test_missing_preview_is_said(evaluation: Evaluation, tmp_path: Path) -> None:
     """Rationale: images may be missing on disk. Expected: each is named with the reason and the rest is drawn."""
     write_report(tmp_path / "r.html", replace(evaluation, **NO_FIGURES), None, "en")  # type: ignore[arg-type]
