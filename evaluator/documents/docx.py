@@ -6,22 +6,21 @@ Tables are built as XML: a cell object of python-docx walks its whole table. The
 import datetime
 import io
 import zipfile
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape
 
 import docx
 from docx.document import Document as WordDocument
 from docx.enum.section import WD_ORIENT
 from docx.enum.text import WD_ALIGN_PARAGRAPH, WD_BREAK, WD_TAB_ALIGNMENT
-from docx.oxml import OxmlElement, parse_xml
-from docx.oxml.ns import nsdecls, qn
+from docx.oxml import OxmlElement
+from docx.oxml.ns import qn
 from docx.shared import Mm, Pt, RGBColor
 from docx.text.paragraph import Paragraph as WordParagraph
 
 from campaign.atomic import complete_file
 from evaluator.documents.cells import TITLE_LENGTH, Placed, alignment, clean, one_line, placed, shares
+from evaluator.documents.docx_table import BODY, HEAD, RULE, cell_xml, row_xml, table_element
 from evaluator.documents.model import (
     Block,
     Document,
@@ -36,12 +35,7 @@ from evaluator.documents.model import (
 )
 from evaluator.documents.pdf import document_day, synthetic_notice
 
-_BODY = ("Times New Roman", "宋体")
-_HEAD = ("Arial", "黑体")
 _MARGIN_MM = 22.0
-_TWIPS_PER_MM = 1440.0 / 25.4
-_SHADE = "EEF1F5"
-_RULE = "8A93A0"
 _RED = RGBColor(0xA8, 0x23, 0x1B)
 _FAINT = RGBColor(0x5B, 0x64, 0x72)
 _ZIP_DATE = (1980, 1, 1, 0, 0, 0)
@@ -109,13 +103,13 @@ def _faces(element: Any, faces: tuple[str, str]) -> None:
 
 def _styles(word: WordDocument, document: Document) -> None:
     normal = word.styles["Normal"]
-    _faces(normal.element, _BODY)
+    _faces(normal.element, BODY)
     normal.font.size = Pt(10.5)
     normal.paragraph_format.space_after = Pt(4)
     normal.paragraph_format.line_spacing = 1.25 if document.language == "zh" else 1.1
     for level, size in ((1, 15), (2, 12.5), (3, 11)):
         style = word.styles[f"Heading {level}"]
-        _faces(style.element, _HEAD)
+        _faces(style.element, HEAD)
         style.font.size, style.font.bold, style.font.color.rgb = Pt(size), document.language == "en", RGBColor(0, 0, 0)
         style.paragraph_format.space_before, style.paragraph_format.space_after = Pt(14), Pt(6)
     language = OxmlElement("w:lang")
@@ -135,25 +129,25 @@ def _page(word: WordDocument, document: Document) -> None:
     head = section.header.paragraphs[0]
     head.paragraph_format.tab_stops.clear_all()
     head.paragraph_format.tab_stops.add_tab_stop(Mm(wide - 2 * _MARGIN_MM), WD_TAB_ALIGNMENT.RIGHT)
-    _run(head, f"{one_line(document.title)}\t{one_line(document.campaign_id)}", 8.5, _HEAD, _FAINT)
+    _run(head, f"{one_line(document.title)}\t{one_line(document.campaign_id)}", 8.5, HEAD, _FAINT)
     if document.synthetic:
-        _run(head, f"　{synthetic_notice(document)}", 8.5, _HEAD, _RED)
+        _run(head, f"　{synthetic_notice(document)}", 8.5, HEAD, _RED)
     _bottom_rule(head)
     foot = section.footer.paragraphs[0]
     foot.alignment = WD_ALIGN_PARAGRAPH.CENTER
     before, between, after = say(document.language, "第 |页　共 |页", "Page | of |").split("|")
-    _run(foot, before, 8.5, _HEAD, _FAINT)
+    _run(foot, before, 8.5, HEAD, _FAINT)
     _field(foot, "PAGE")
-    _run(foot, (" " if document.language == "zh" else "") + between, 8.5, _HEAD, _FAINT)
+    _run(foot, (" " if document.language == "zh" else "") + between, 8.5, HEAD, _FAINT)
     _field(foot, "NUMPAGES")
-    _run(foot, (" " if document.language == "zh" else "") + after, 8.5, _HEAD, _FAINT)
+    _run(foot, (" " if document.language == "zh" else "") + after, 8.5, HEAD, _FAINT)
 
 
 def _run(
     paragraph: WordParagraph,
     text: str,
     size: float,
-    faces: tuple[str, str] = _BODY,
+    faces: tuple[str, str] = BODY,
     colour: RGBColor | None = None,
     bold: bool = False,
 ) -> None:
@@ -182,7 +176,7 @@ def _field(paragraph: WordParagraph, instruction: str) -> None:
 def _bottom_rule(paragraph: WordParagraph) -> None:
     borders = OxmlElement("w:pBdr")
     line = OxmlElement("w:bottom")
-    for key, value in (("val", "single"), ("sz", "4"), ("space", "3"), ("color", _RULE)):
+    for key, value in (("val", "single"), ("sz", "4"), ("space", "3"), ("color", RULE)):
         line.set(qn(f"w:{key}"), value)
     borders.append(line)
     paragraph._element.get_or_add_pPr().insert_element_before(
@@ -204,25 +198,25 @@ def _cover(word: WordDocument, document: Document) -> None:
     title.alignment = WD_ALIGN_PARAGRAPH.CENTER
     title.paragraph_format.space_before = Pt((40 if document.landscape else 130) if alone else 0)
     bold = document.language == "en"
-    _run(title, one_line(document.title, TITLE_LENGTH), 26 if alone else 18, _HEAD, bold=bold)
+    _run(title, one_line(document.title, TITLE_LENGTH), 26 if alone else 18, HEAD, bold=bold)
     if document.subtitle:
         below = word.add_paragraph()
         below.alignment = WD_ALIGN_PARAGRAPH.CENTER
-        _run(below, one_line(document.subtitle, TITLE_LENGTH), 13 if alone else 10.5, _HEAD, _FAINT)
+        _run(below, one_line(document.subtitle, TITLE_LENGTH), 13 if alone else 10.5, HEAD, _FAINT)
     if not alone:
         return
     word.add_paragraph().paragraph_format.space_after = Pt(30 if document.landscape else 110)
     colon = say(document.language, "：", ":")
     rows = [
-        _row(
+        row_xml(
             [
-                _cell(one_line(label) + colon, 45.0, size=12, faces=_HEAD, align="right"),
-                _cell(one_line(value, TITLE_LENGTH), 85.0, size=12, rule_below=True),
+                cell_xml(one_line(label) + colon, 45.0, size=12, faces=HEAD, align="right"),
+                cell_xml(one_line(value, TITLE_LENGTH), 85.0, size=12, rule_below=True),
             ]
         )
         for label, value in document.cover
     ]
-    word.element.body.insert(len(word.element.body) - 1, _table_element([45.0, 85.0], rows, centred=True))
+    word.element.body.insert(len(word.element.body) - 1, table_element([45.0, 85.0], rows, centred=True))
     _new_page(word)
 
 
@@ -235,7 +229,7 @@ def _block(word: WordDocument, document: Document, block: Block) -> None:
             if not block.note and document.language == "zh":
                 _indent_two(paragraph)
             colour = _FAINT if block.note else None
-            _run(paragraph, clean(block.text), 9 if block.note else 10.5, _BODY, colour)
+            _run(paragraph, clean(block.text), 9 if block.note else 10.5, BODY, colour)
         case Formula():
             paragraph = word.add_paragraph()
             width = Mm((297.0 if document.landscape else 210.0) - 2 * _MARGIN_MM)
@@ -276,7 +270,7 @@ def _caption(word: WordDocument, text: str, above: bool = True) -> None:
     paragraph.alignment = WD_ALIGN_PARAGRAPH.CENTER
     paragraph.paragraph_format.keep_with_next = above
     paragraph.paragraph_format.space_before = Pt(8 if above else 2)
-    _run(paragraph, clean(text), 9.5, _HEAD)
+    _run(paragraph, clean(text), 9.5, HEAD)
 
 
 def _signatures(word: WordDocument, document: Document, block: Signatures) -> None:
@@ -303,10 +297,10 @@ def _table(word: WordDocument, document: Document, block: Table) -> None:
         bold = document.language == "en"
         head = [*block.head, *[""] * (count - len(block.head))]
         cells = [
-            _cell(clean(text), widths[j], size=size, faces=_HEAD, align="center", shade=True, bold=bold)
+            cell_xml(clean(text), widths[j], size=size, faces=HEAD, align="center", shade=True, bold=bold)
             for j, text in enumerate(head)
         ]
-        lines.append(_row(cells, head_row=True))
+        lines.append(row_xml(cells, head_row=True))
     starts: dict[tuple[int, int], Placed] = {(c.row, c.column): c for c in placed(block)}
     covered: dict[int, tuple[int, int]] = {}  # column -> rows still joined, columns across
     for i in range(len(block.rows)):
@@ -318,17 +312,17 @@ def _table(word: WordDocument, document: Document, block: Table) -> None:
             if cell is None:
                 across = across if left else 1
                 join = "continue" if left else ""
-                cells.append(_cell("", sum(widths[j : j + across]), size=size, across=across, join=join))
+                cells.append(cell_xml("", sum(widths[j : j + across]), size=size, across=across, join=join))
                 covered[j] = (max(left - 1, 0), across)
                 j += across
                 continue
             label = block.fields and j % 2 == 0
             cells.append(
-                _cell(
+                cell_xml(
                     cell.text,
                     sum(widths[j : j + cell.across]),
                     size=size,
-                    faces=_HEAD if label else _BODY,
+                    faces=HEAD if label else BODY,
                     align="center" if label else "left" if cell.across > 1 else aligned[j],
                     shade=label,
                     across=cell.across,
@@ -338,68 +332,8 @@ def _table(word: WordDocument, document: Document, block: Table) -> None:
             )
             covered[j] = (cell.down - 1, cell.across)
             j += cell.across
-        lines.append(_row(cells))
-    word.element.body.insert(len(word.element.body) - 1, _table_element(widths, lines))
+        lines.append(row_xml(cells))
+    word.element.body.insert(len(word.element.body) - 1, table_element(widths, lines))
     gap = word.add_paragraph()
     gap.paragraph_format.space_after = Pt(2)
     gap.paragraph_format.line_spacing = Pt(8)
-
-
-def _table_element(widths_mm: Sequence[float], rows: Sequence[str], centred: bool = False) -> Any:
-    """The whole table parsed at once: made element by element, 3000 rows take 20 s."""
-    sides = ("top", "left", "bottom", "right", "insideH", "insideV")
-    borders = "".join(f'<w:{side} w:val="single" w:sz="4" w:space="0" w:color="{_RULE}"/>' for side in sides)
-    form = '<w:jc w:val="center"/>' if centred else f"<w:tblBorders>{borders}</w:tblBorders>"
-    grid = "".join(f'<w:gridCol w:w="{_twips(width)}"/>' for width in widths_mm)
-    return parse_xml(
-        f"<w:tbl {nsdecls('w')}><w:tblPr>"
-        f'<w:tblW w:w="{_twips(sum(widths_mm))}" w:type="dxa"/>{form}<w:tblLayout w:type="fixed"/>'
-        f"</w:tblPr><w:tblGrid>{grid}</w:tblGrid>{''.join(rows)}</w:tbl>"
-    )
-
-
-def _twips(width_mm: float) -> int:
-    return round(width_mm * _TWIPS_PER_MM)
-
-
-def _row(cells: Sequence[str], head_row: bool = False) -> str:
-    form = "<w:trPr><w:cantSplit/><w:tblHeader/></w:trPr>" if head_row else ""
-    return f"<w:tr>{form}{''.join(cells)}</w:tr>"
-
-
-def _cell(
-    text: str,
-    width_mm: float,
-    *,
-    size: float,
-    faces: tuple[str, str] = _BODY,
-    align: str = "left",
-    shade: bool = False,
-    bold: bool = False,
-    across: int = 1,
-    join: str = "",
-    top: bool = False,
-    rule_below: bool = False,
-) -> str:
-    """One w:tc with one paragraph, as XML; line ends become breaks. `text` is clean and is escaped here."""
-    form = [f'<w:tcW w:w="{_twips(width_mm)}" w:type="dxa"/>']
-    if across > 1:
-        form.append(f'<w:gridSpan w:val="{across}"/>')
-    if join:
-        form.append(f'<w:vMerge w:val="{join}"/>')
-    if rule_below:
-        rule = f'<w:bottom w:val="single" w:sz="4" w:space="0" w:color="{_RULE}"/>'
-        form.append(f"<w:tcBorders>{rule}</w:tcBorders>")
-    if shade:
-        form.append(f'<w:shd w:val="clear" w:color="auto" w:fill="{_SHADE}"/>')
-    form.append(f'<w:vAlign w:val="{"top" if top else "center"}"/>')
-    placing = '<w:spacing w:before="20" w:after="20" w:line="240" w:lineRule="auto"/>'
-    placing += "" if align == "left" else f'<w:jc w:val="{align}"/>'
-    latin, chinese = faces
-    look = f'<w:rFonts w:ascii="{latin}" w:hAnsi="{latin}" w:cs="{latin}" w:eastAsia="{chinese}"/>'
-    look += ("<w:b/>" if bold else "") + f'<w:sz w:val="{round(2 * size)}"/>'
-    words = "<w:br/>".join(f'<w:t xml:space="preserve">{escape(part)}</w:t>' for part in text.split("\n"))
-    return (
-        f"<w:tc><w:tcPr>{''.join(form)}</w:tcPr><w:p><w:pPr>{placing}</w:pPr>"
-        f"<w:r><w:rPr>{look}</w:rPr>{words}</w:r></w:p></w:tc>"
-    )
