@@ -12,7 +12,7 @@ from evaluator.model import CampaignData
 from evaluator.results_model import not_measured
 from scenes.chessboard import board_of
 from simulator.bench.placements import bench_focus_m, bench_lens, coverage, plan_placements
-from simulator.ranging import MARGIN_DEG, Line
+from simulator.ranging import Line
 
 LEAST_SCANS, SHORT_S = 5, 60.0  # 9.1.2 f, b
 
@@ -66,8 +66,7 @@ def _scans(config: Config, line: Line) -> list[Row]:
     along = np.degrees(np.arctan2(corner[:, 0], corner[:, 1]) - np.arctan2(middle[0], middle[1]))
     along = (along + 180.0) % 360.0 - 180.0
     spread = np.asarray(config.lidar.scanner.channel_elevations_deg or (0.0,))
-    turn = float(np.ptp(along) + np.ptp(spread) + 2.0 * MARGIN_DEG)
-    seconds = turn / config.ranging.turn_rate_deg_s
+    seconds = float(np.ptp(along) + np.ptp(spread)) / config.ranging.turn_rate_deg_s
     scans = config.ranging.scans
     return [
         Row(

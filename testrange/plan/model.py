@@ -5,6 +5,7 @@ from typing import Literal
 
 PlanStatus = Literal["pass", "fail", "warning", "not_applicable", "not_recorded", "after"]
 PHYSICS = "physics"  # the clause of a row that no clause asks for
+AMBIGUITY = "longest slant range to the ground unambiguous"  # a requirement
 CONFIGURATION = "configuration"  # of what cannot be built and names no clause
 
 
@@ -140,7 +141,9 @@ class Plan:
         """One sentence with clauses, what is planned, what is asked for and the way out; None where nothing fails."""
         if not self.failing:
             return None
-        failing = sorted(self.failing, key=lambda row: row.clause != PHYSICS)  # nothing else helps where physics fails
+        failing = sorted(
+            self.failing, key=lambda row: row.requirement != AMBIGUITY
+        )  # nothing else helps where that fails
         parts, remedies = [], []
         for row in failing[:MOST_NAMED]:
             limit = f", expected {row.limit}" if row.limit else ""

@@ -9,7 +9,7 @@ from simulator.radar_equation import unambiguous_range_m
 from simulator.scanner import scanner_from
 from testrange.plan.beams import Passes, amplitude_limits_dn
 from testrange.plan.light import blur_px
-from testrange.plan.model import PHYSICS, PanelLight, PlanRow, PlanStatus
+from testrange.plan.model import AMBIGUITY, PHYSICS, PanelLight, PlanRow, PlanStatus
 from testrange.plan.rehearsal import Rehearsal, flies
 
 MOST_BLUR_PX = 1.0
@@ -66,7 +66,7 @@ def _ranges(config: Config, passes: Passes | None) -> list[PlanRow]:
     rows = [
         _row(
             PHYSICS,
-            "longest slant range to the ground unambiguous",
+            AMBIGUITY,
             f"{longest:.1f} m",
             f"≤ {limit:.1f} m, c/(2·PRR)" + (f" with {beams} channels in turn" if beams > 1 else ""),
             "pass" if longest <= limit else "fail",

@@ -4,6 +4,7 @@ import re
 
 from evaluator.documents.model import Language, say
 from evaluator.documents.phrases import translated
+from testrange.plan.remedies import REMEDIES_ZH
 
 __all__ = ["STATUS", "own", "say"]
 
@@ -26,10 +27,17 @@ _OWN: tuple[tuple[str, str], ...] = (
         "棱台各面（6.2.2 c、d）可测为交于公共顶点的平面",
     ),
     (
-        r"(\d+) of (\d+) targets, (\d+) of (\d+) passes give a vertex; (\d+) points on a face on average, (\d+) at least "
-        r"\((\w+), sortie (\d+) strip (\d+)\)(.*)",
-        r"\2 个靶标中 \1 个、\4 次扫过中 \3 次可得顶点；每面平均 \5 点，最少 \6 点（\7，架次 \8 航线 \9）\10",
+        r"(\d+) of (\d+) targets, (\d+) of (\d+) passes give a vertex",
+        r"\2 个靶标中 \1 个、\4 次扫过中 \3 次可得顶点",
     ),
+    (
+        r"(\d+) points on a face on average, (\d+) at least \((\w+), sortie (\d+) strip (\d+)\)",
+        r"每面平均 \1 点，最少 \2 点（\3，第 \4 架次第 \5 航线）",
+    ),
+    (r"(\d+) passes: footprint of ([\d.]+) m on faces ([\d.]+) m wide", r"\1 次扫过：光斑 \2 m，面宽仅 \3 m"),
+    (r"(\d+) passes: (\d+) returns near the target", r"\1 次扫过：靶标附近仅 \2 个回波"),
+    (r"(\d+) passes: (\d+) clean returns on the faces", r"\1 次扫过：各面上可用回波仅 \2 个"),
+    (r"(\d+) scans of (\d+) panels", r"每块参考板扫描 \1 次，共 \2 块"),
     (
         r"three faces with 6 clean points or more, of (\d+) targets or more",
         r"不少于 \1 个靶标，各有三个面、每面不少于 6 点",
@@ -54,6 +62,10 @@ _OWN: tuple[tuple[str, str], ...] = (
     ),
     (r"footprint on the farthest panel of the ranging line \(9\.1\.2 a\)", "测距基线最远参考板（9.1.2 a）上的光斑"),
     (r"≤ ([\d.]+) m, half the panel", r"≤ \1 m，参考板之半"),
+    (
+        r"enlarge targets\.frustums\.long_edge_m \((.*) m\), fly lower or slower, or use a LiDAR with .*",
+        r"加大 targets.frustums.long_edge_m（现 \1 m）、降低航高或航速，或改用光束更窄、频率更高的激光雷达",
+    ),
     (r"begin between (\S+) and (\S+) Beijing time", r"首条航线应在 \1 至 \2（北京时间）开始"),
     (r"sortie (\d+): (\d+) of (\d+)( \(not .*\))?", r"第 \1 架次：\2/\3\4"),
     (r"(\d+) DN \((\w+)\) to (\d+) DN \((\w+)\)", r"\1 DN（\2）至 \3 DN（\4）"),
@@ -72,10 +84,13 @@ def own(text: str, language: Language) -> str:
     """A text of a plan in the reader's language; one that is not known stays English."""
     if language == "en":
         return text
+    if text in REMEDIES_ZH:
+        return REMEDIES_ZH[text]
     for pattern, words in _COMPILED:
         found = pattern.fullmatch(text)
         if found:
             return found.expand(words)
-    if text.startswith("sortie ") and "; " in text:
+    known = translated(text, language)
+    if known == text and "; " in text:
         return "；".join(own(part, language) for part in text.split("; "))
-    return translated(text, language)
+    return known
