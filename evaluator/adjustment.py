@@ -9,7 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-from evaluator.blunders import describe_group, rescaled, snooping, variance_factor, without, worst_groups
+from evaluator.blunders import (
+    common_shift,
+    describe_group,
+    rescaled,
+    snooping,
+    variance_factor,
+    without,
+    worst_groups,
+)
 from evaluator.frames import euler_angles
 from evaluator.helping_strip import helping_strips
 from evaluator.model import EvaluationError, Mounting, MountingSolution
@@ -201,6 +209,21 @@ def strong_pairs(names: tuple[str, ...], covariance: np.ndarray) -> list[dict[st
     ]
 
 
+def _plane_companions(solved: Solved) -> dict[str, object]:
+    """How many planes were used, and how the panels' surveyed heights stand against the frustums'; nothing without planes."""
+    system, fit = solved.system, solved.fit
+    if not system.problem.planes:
+        return {}
+    rows = np.arange(system.rows_heights, system.rows_prior)
+    shift, std = common_shift(rows, fit.factor, fit.design, fit.covariance, fit.residual)
+    return {
+        "variance_factor_planes": float(solved.factors[2]),
+        "planes": len(system.problem.planes),
+        "panel_heights_shift_m": shift,
+        "panel_heights_shift_std_m": std,
+    }
+
+
 def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray | None = None) -> MountingSolution:
     """Both mountings from all marks, vertices and panels' planes.
 
@@ -216,7 +239,7 @@ def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray |
     -------
     MountingSolution
         `companions` hold the variance factors, correlations beyond 0.95, what is not determined, with `snoop` the strip that
-        would determine it, and where there are any the number of planes used.
+        would determine it, and where there are planes their number and how all their surveyed heights stand off together.
 
     Raises
     ------
@@ -238,7 +261,6 @@ def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray |
     std = np.sqrt(np.diag(covariance))
     helping = helping_strips(system.problem, x, covariance) if snoop else []
     clocks = dict(zip(names[12:], x[12:], strict=True))
-    planes = len(system.problem.planes)
     return MountingSolution(
         names=names,
         parameters=x,
@@ -260,7 +282,7 @@ def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray |
         companions={
             "variance_factor_marks": float(solved.factors[0]),
             "variance_factor_vertices": float(solved.factors[1]),
-            **({"variance_factor_planes": float(solved.factors[2]), "planes": planes} if planes else {}),
+            **_plane_companions(solved),
             "strong_correlations": strong_pairs(names, covariance),
             "not_determined": [
                 name for name, s, prior in zip(names, std, system.prior_std, strict=True) if s > 0.5 * prior

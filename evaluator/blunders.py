@@ -61,6 +61,26 @@ def snooping(
     return statistic, freedom
 
 
+def common_shift(
+    rows: np.ndarray, factor: np.ndarray, design: np.ndarray, covariance: np.ndarray, residual: np.ndarray
+) -> tuple[float, float]:
+    """By how much all observations of `rows` stand off together, as one unknown more would tell, and its standard deviation.
+
+    Parameters
+    ----------
+    rows : (k,) np.ndarray of int
+        Rows of one unit that are shifted alike, e.g. surveyed heights.
+    factor, design, covariance, residual
+        As for `snooping`.
+    """
+    together = np.zeros(len(factor))
+    together[rows] = 1.0
+    white = scipy.linalg.solve_triangular(factor, together, lower=True, check_finite=False)
+    free = white - design @ (covariance @ (design.T @ white))
+    information = max(float(free @ free), 1e-12)
+    return float(free @ residual) / information, 1.0 / float(np.sqrt(information))
+
+
 def variance_factor(statistic: np.ndarray, freedom: np.ndarray) -> float:
     """Variance factor of one kind of observation: median of the statistics over the median of chi-square, since blunders are
     still in it. A factor below 1 must hold for the tails as well: there the mean counts where it is greater, up to 1, for

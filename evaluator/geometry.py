@@ -349,7 +349,7 @@ def with_planes(data: CampaignData, alone: GeometryResult, found: PlanesFound) -
     panels = len({o.panel for o in found.planes})
     try:
         solution = solve_mountings(problem, start=alone.solution.parameters)
-        doubt = contradiction(alone.solution, solution)
+        doubt = contradiction(solution)
     except EvaluationError as error:
         doubt = str(error)
     if doubt is not None:

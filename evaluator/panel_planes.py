@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
 
 from campaign.survey import SurveyedTarget
 from evaluator.frames import WorldFrame, body_pose
@@ -25,10 +24,9 @@ _COMMON_STD_M = (
     0.001  # of a panel's mean beyond its points' scatter: the echoes' phase in the sampling, the encoder's steps
 )
 _OUTLIER = 5.0  # robust standard deviations from the plane
-_MOST_OUTLIERS = 0.1
+_MOST_OUTLIERS = 0.05
 _NOT_PLANE_M = 0.005  # a ninth of the panel lies this far off its plane, and five standard deviations
-_CONTRADICTION = 1e-5  # tail probability below which planes and vertices contradict each other
-_TOLD_APART = 0.05  # share of a variance that the planes must take away for the two solutions to be compared there
+_CONTRADICTION = 4.4  # standard deviations of a common shift: two-sided 1e-5, as for single blunders
 _MOST_TILT_DEG = 1.0  # 5 cm off the centre a tilt of one degree is a height of 0.9 mm
 _LONGEST_S = 5.0  # of scanning one panel in one strip
 
@@ -182,25 +180,10 @@ def not_plane(local_m: np.ndarray, residual_m: np.ndarray, size_m: float, outlie
     return None
 
 
-def contradiction(alone: MountingSolution, together: MountingSolution) -> str | None:
-    """Why the planes contradict the vertices and marks as a whole; None where they agree.
-
-    What planes that agree add to an efficient solution moves it by no more than sqrt of the variance that they take away: the
-    difference of the two has the difference of the covariances as its own. Directions in which they take away less than
-    5 % are left out.
-
-    References
-    ----------
-    Hausman, Specification tests in econometrics, Econometrica 46, 1978.
-    """
-    std = np.sqrt(np.diag(alone.covariance))
-    share, vectors = np.linalg.eigh((alone.covariance - together.covariance) / np.outer(std, std))
-    moved = vectors.T @ ((together.parameters - alone.parameters) / std)
-    use = share > _TOLD_APART
-    if not use.any():
+def contradiction(solution: MountingSolution) -> str | None:
+    """Why the planes contradict vertices and marks as a whole: all surveyed heights of panels stand off by the same (another face,
+    another datum) by more than chance allows. None where they agree, and where there are no planes."""
+    shift, std = (solution.companions.get(f"panel_heights_{of}") for of in ("shift_m", "shift_std_m"))
+    if not isinstance(shift, float) or not isinstance(std, float) or abs(shift) <= _CONTRADICTION * std:
         return None
-    chi_square = float(np.sum(moved[use] ** 2 / share[use]))
-    if scipy.stats.chi2.sf(chi_square, use.sum()) > _CONTRADICTION:
-        return None
-    most = int(np.argmax(np.abs(together.parameters - alone.parameters) / std))
-    return f"they contradict the vertices (chi-square {chi_square:.0f} of {use.sum()}, most at {alone.names[most]})"
+    return f"their surveyed heights contradict the frustums' by {1e3 * shift:+.0f} mm ({1e3 * std:.1f} mm)"

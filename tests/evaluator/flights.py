@@ -12,8 +12,8 @@ from campaign.trajectory import Trajectory
 from evaluator.camera_model import lens_from_vector, lens_vector, project
 from evaluator.frames import WorldFrame, euler_angles, euler_rotation
 from evaluator.georeference import nominal_mountings
-from evaluator.model import MarkObservation, VertexObservation
-from evaluator.mounting_model import Problem, SurveyedMark, mounting_of
+from evaluator.model import MarkObservation, PlaneObservation, VertexObservation
+from evaluator.mounting_model import Problem, SurveyedMark, SurveyedPanel, mounting_of
 
 FRAME = WorldFrame(
     Manifest(
@@ -106,11 +106,14 @@ def flight(
     mark_std=0.06,
     range_std=0.004,
     lidar_turn_deg=(0.0, 0.0, 0.0),
+    panels=0,
+    panel_std=0.001,
+    panel_height_std=0.004,
 ) -> Problem:
     """16 targets; every height a sortie with one strip a heading, two images and one scan of every target each.
 
     `clocks` are stamped minus true time of camera and LiDAR, `lidar_turn_deg` a change of the LiDAR's boresight before the
-    second sortie, `noise` scales every error.
+    second sortie, `noise` scales every error. `panels` level ones stand between the targets; every strip scans them too.
     """
     rng = np.random.default_rng(seed)
     the_rig = rig(clock_std_s)
@@ -129,7 +132,12 @@ def flight(
         for name, p in zip(names, places, strict=True)
     }
     certificate = lens_from_vector(lens_vector(LENS) + noise * LENS_STD * rng.standard_normal(9))
-    marks, vertices, trajectories = [], [], {}
+    marks, vertices, planes, trajectories = [], [], [], {}
+    own = np.random.default_rng([seed, 41450])  # so that panels change nothing else
+    centres = np.column_stack(
+        [own.uniform(-14, 14, panels), own.uniform(-10, 10, panels), own.uniform(0.1, 0.3, panels)]
+    )
+    heights_surveyed = centres[:, 2] + noise * panel_height_std * own.standard_normal(panels)
     for sortie, (height, speed) in enumerate(zip(heights, speeds, strict=True), start=1):
         changed = truth[6:].copy()
         if sortie == 2:
@@ -196,6 +204,26 @@ def flight(
                 )
                 for i in range(len(names))
             ]
+            if panels == 0:
+                continue
+            scans = middle + centres @ along / speed
+            at, rotation = pose(scans)
+            on = centres + np.append(own.uniform(-0.05, 0.05, 2), 0.0)  # where on a panel does not matter
+            on[:, 2] += noise * panel_std * own.standard_normal(panels)
+            points = (np.einsum("nji,nj->ni", rotation, on - at) - lidar.lever_arm_m) @ lidar.rotation
+            planes += [
+                PlaneObservation(
+                    panel=f"P{i:02d}",
+                    sortie=sortie,
+                    strip=strip,
+                    gps_time_s=float(scans[i] + clocks[1]),
+                    point_lidar_m=points[i],
+                    std_m=panel_std,
+                    points=100,
+                    rms_m=10.0 * panel_std,
+                )
+                for i in range(panels)
+            ]
     return Problem(
         rig=the_rig,
         lens=certificate,
@@ -205,4 +233,13 @@ def flight(
         surveyed=surveyed,
         trajectories=trajectories,
         world_frame=FRAME,
+        planes=tuple(planes),
+        panels={
+            f"P{i:02d}": SurveyedPanel(
+                centre_world_m=np.array([*centres[i, :2], heights_surveyed[i]]),
+                normal_world=np.array([0.0, 0.0, 1.0]),
+                height_std_m=panel_height_std,
+            )
+            for i in range(panels)
+        },
     )
