@@ -22,7 +22,7 @@ def layout_sketch(data: CampaignData, kind: str, language: Language) -> Picture 
         drawn = _draw(data, kind, language)
         svg, png = io.BytesIO(), io.BytesIO()
         drawn.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
-        drawn.savefig(png, format="png", dpi=200, metadata={"Software": None})
+        drawn.savefig(png, format="png", dpi=160, metadata={"Software": None})
     caption = {
         "panel": say(language, "图 1　辐射靶标布设略图", "Figure 1  Layout of the reflectance panels"),
         "frustum": say(language, "图 1　几何一致性检测靶标布设略图", "Figure 1  Layout of the geometric targets"),
