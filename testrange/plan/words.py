@@ -67,7 +67,7 @@ _OWN: tuple[tuple[str, str], ...] = (
         r"加大 targets.frustums.long_edge_m（现 \1 m）、降低航高或航速，或改用光束更窄、频率更高的激光雷达",
     ),
     (r"begin between (\S+) and (\S+) Beijing time", r"首条航线应在 \1 至 \2（北京时间）开始"),
-    (r"sortie (\d+): (\d+) of (\d+)( \(not .*\))?", r"第 \1 架次：\2/\3\4"),
+    (r"sortie (\d+): (\d+) of (\d+)( \(not [^;]*\))?", r"第 \1 架次：\2/\3\4"),
     (r"(\d+) DN \((\w+)\) to (\d+) DN \((\w+)\)", r"\1 DN（\2）至 \3 DN（\4）"),
     (r"(\d+) to (\d+) DN", r"\1 至 \2 DN"),
     (r"([\d.]+) m at ([\d.]+) m", r"\2 m 处 \1 m"),
@@ -84,13 +84,21 @@ def own(text: str, language: Language) -> str:
     """A text of a plan in the reader's language; one that is not known stays English."""
     if language == "en":
         return text
+    whole = _known(text)
+    if whole is not None:
+        return whole
+    parts = text.split("; ")
+    if len(parts) > 1 and any(_known(part) is not None for part in parts):
+        return "；".join(own(part, language) for part in parts)
+    return translated(text, language)
+
+
+def _known(text: str) -> str | None:
+    """A text that is the plan's own, in Chinese."""
     if text in REMEDIES_ZH:
         return REMEDIES_ZH[text]
     for pattern, words in _COMPILED:
         found = pattern.fullmatch(text)
         if found:
             return found.expand(words)
-    known = translated(text, language)
-    if known == text and "; " in text:
-        return "；".join(own(part, language) for part in text.split("; "))
-    return known
+    return None
