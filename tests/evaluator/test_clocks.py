@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from evaluator.adjustment import on_true_time, solve_mountings
+from evaluator.body_rates import body_rates
 from evaluator.c9_3_calibration import evaluate_calibration, residual_table, target_errors
 from evaluator.frames import body_pose
 from evaluator.helping_strip import (
@@ -19,7 +20,7 @@ from evaluator.helping_strip import (
     with_strip,
 )
 from evaluator.model import EvaluationError
-from evaluator.mounting_model import PARAMETER_NAMES, System, body_rates
+from evaluator.mounting_model import PARAMETER_NAMES, System
 from evaluator.single_sensor import solve_camera, solve_lidar
 
 FLIGHTS = runpy.run_path(str(Path(__file__).with_name("flights.py")))
