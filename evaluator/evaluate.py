@@ -6,7 +6,7 @@ searched. Then the indicators, then conformity. An indicator that cannot be had 
 others. Nothing under truth/ is opened.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from evaluator.mounting_by_boards import solve_by_boards
 from evaluator.observe.examples import waveform_examples
 from evaluator.observe.panel_images import panel_image_values, region_pixels
 from evaluator.observe.panels import ImagePanelObservation, LidarPanelObservation, lidar_panel_observations
+from evaluator.observe.picks import target_points
 from evaluator.results import Evaluation, PanelValue, Region
 from evaluator.results_model import IndicatorValue, not_measured
 
@@ -150,6 +151,7 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
         companions={
             "marks_not_found": dict(sorted(findings.mark_reasons.items())),
             "vertices_not_found": dict(sorted(geometry.vertex_reasons.items())) if geometry else {},
+            "target_points": target_points(data, returns, lidar_panels, geometry.vertices if geometry else ()),
         },
         sphere=benches.sphere,
         chessboard=benches.chessboard,
@@ -338,6 +340,7 @@ def _image_panels(
         return
     frame = WorldFrame(data.manifest)
     frames = list(_exposures(data))
+    hand = {sortie.folder.number: _picked(sortie, findings) for sortie in data.sorties}
     progress("images", 0, len(frames))
     for done, (sortie, exposure) in enumerate(frames, start=1):
         trajectory = sortie.trajectory
@@ -354,6 +357,7 @@ def _image_panels(
                 trajectory,
                 frame,
                 search=not solved,
+                picked=hand[sortie.folder.number],
             )
             _brightness(data, sortie, exposure, values, findings)
         except TestrangeError as error:
@@ -454,16 +458,16 @@ def _conformity_inputs(
         frustum_vertices=len({v.target for v in geometry.vertices}) if geometry else None,
         frustum_marks=len({m.target for m in findings.marks}) if data.camera is not None else None,
         frustums_used=len(used) if geometry else None,
-        panels_picked_by="evaluator" if findings.panels else None,
+        panels_picked_by=_picked_by(findings.panels),
         frustums_picked_by=_picked_by(findings.marks),
         indicators_measured=sum(v.value is not None for v in indicators.values()),
     )
 
 
-def _picked_by(marks: list[MarkObservation]) -> str | None:
-    if not marks:
+def _picked_by(found: Sequence[MarkObservation | ImagePanelObservation]) -> str | None:
+    if not found:
         return None
-    return "person" if any(m.picked_by == "person" for m in marks) else "evaluator"
+    return "person" if any(o.picked_by == "person" for o in found) else "evaluator"
 
 
 def _scan_intervals(returns: dict[tuple[int, int, str], TargetReturns]) -> dict[tuple[int, int], float]:
