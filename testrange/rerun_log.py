@@ -146,7 +146,8 @@ def _moving(recording: "RecordingStream", evaluation: Evaluation, data: Campaign
         place = frame.map_from_world(position)
         turned = np.swapaxes(frame.world_from_grid(place), 1, 2) @ world_from_body
         entity = f"world/body/sortie_{sortie.folder.number:02d}"
-        recording.log(entity, rr.TransformAxes3D(3.0), static=True)
+        axes = rr.Arrows3D(vectors=3.0 * np.eye(3), colors=[[230, 80, 60], [60, 180, 90], [70, 120, 230]])
+        recording.log(f"{entity}/axes", axes, static=True)
         recording.send_columns(
             entity,
             indexes=[rr.TimeColumn(TIME_LINE, timestamp=unix_time_s(data, time))],
