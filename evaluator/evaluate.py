@@ -151,6 +151,7 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
         companions={
             "marks_not_found": dict(sorted(findings.mark_reasons.items())),
             "vertices_not_found": dict(sorted(geometry.vertex_reasons.items())) if geometry else {},
+            "planes_not_found": dict(sorted(geometry.plane_reasons.items())) if geometry else {},
             "target_points": target_points(data, returns, lidar_panels, geometry.vertices if geometry else ()),
         },
         sphere=benches.sphere,

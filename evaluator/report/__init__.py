@@ -6,7 +6,7 @@ html              the page (template.html.j2, page.css)
 sections          what stands in its tables
 pictures          which drawings stand where; made by plots, radiometry_plots, bench_plots
 overlays          every image with what was found in it, and its targets enlarged
-texts, plot_texts every word in Chinese and English; words: the indicators; terms: names; requirements: clauses
+texts, plot_texts every word in Chinese and English; words: the indicators; terms: names
 photos            the composite picture of a run
 style             fonts with Chinese glyphs, colours, figures to data URIs
 """

@@ -10,12 +10,12 @@ from pathlib import Path
 import jinja2
 
 from evaluator.documents.model import Language
+from evaluator.documents.phrases import translated
 from evaluator.report import sections
 from evaluator.report.overlays import shots
 from evaluator.report.pictures import pictures
-from evaluator.report.requirements import requirement
 from evaluator.report.style import GRADE_COLOURS, font_uri, style
-from evaluator.report.terms import parameter, reason
+from evaluator.report.terms import parameter
 from evaluator.report.texts import Texts
 from evaluator.results import Evaluation, build_results, plain
 from evaluator.score import Score, decimals
@@ -52,11 +52,14 @@ def render_report(evaluation: Evaluation, score: Score | None, language: Languag
         cards=sections.indicator_cards(evaluation, results, t),
         groups=sections.group_rows(evaluation, t),
         data=sections.data_rows(evaluation, t),
-        conformity=[{**r, "requirement": requirement(r["requirement"], language)} for r in results["conformity"]],
+        conformity=[
+            {**r, **{key: translated(str(r[key]), language) for key in ("requirement", "measured", "limit")}}
+            for r in results["conformity"]
+        ],
         counts=counts,
         problems=results["problems"],
         mounting=results["mounting"],
-        mounting_reason=reason(str(results["mounting"].get("reason") or ""), language),
+        mounting_reason=translated(str(results["mounting"].get("reason") or ""), language),
         mounting_rows=sections.mounting_rows(results, t),
         three_ways=sections.three_ways(results, t),
         inseparable=sections.inseparable(results, t),

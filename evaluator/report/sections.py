@@ -8,7 +8,8 @@ import numpy as np
 
 from evaluator.c10_1_grading import GROUPS, INDICATORS, Indicator, group_grades
 from evaluator.camera_model import LENS_NAMES, lens_vector
-from evaluator.report.terms import method, parameter, reason, strip
+from evaluator.documents.phrases import translated
+from evaluator.report.terms import method, parameter, strip
 from evaluator.report.texts import Texts
 from evaluator.report.words import HOW
 from evaluator.results import Evaluation, plain, shown_decimals
@@ -73,7 +74,7 @@ def indicator_cards(evaluation: Evaluation, results: Mapping[str, Any], t: Texts
                 "grade": evaluation.grade(i),
                 "grade_text": t(f"level_{evaluation.grade(i)}"),
                 "block": block,
-                "reason": reason(block["reason"] or "", t.language),
+                "reason": translated(block["reason"] or "", t.language),
                 "method": method(block["uncertainty"]["method"] or "", t.language),
                 "companions": companions(block["companions"], t),
                 "formula": how.formula,

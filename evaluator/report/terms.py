@@ -123,18 +123,6 @@ _STRIPS = (
     (re.compile(r"^another height \((.+) m\)$"), r"另一航高（\1 m）"),
     (re.compile(r"^another speed \((.+) m/s\)$"), r"另一速度（\1 m/s）"),
 )
-_REASONS = (
-    (re.compile(r"^no (bench/\S+|ranging/) in this campaign$"), r"检测中没有 \1"),
-    (re.compile(r"^no survey/targets.csv$"), "没有 survey/targets.csv"),
-    (re.compile(r"^the survey holds no frustum target$"), "测量成果中没有梯形棱台靶标"),
-    (re.compile(r"^(\S+) is missing or unreadable$"), r"\1 缺失或无法读取"),
-    (re.compile(r"^(\S+) is missing$"), r"\1 缺失"),
-    (re.compile(r"^the mountings are not known$"), "安置参数未知"),
-    (re.compile(r"^the evaluation stopped before it$"), "评价在此之前中止"),
-    (re.compile(r"^no panel was found in the LiDAR's strips$"), "激光雷达航线中未找到参考板"),
-    (re.compile(r"^no adjustment was made$"), "未作平差"),
-    (re.compile(r"^no reflectance by LiDAR: (.+)$"), r"没有激光雷达反射率：\1"),
-)
 _METHODS = (
     (re.compile(r"^bootstrap over images, (\d+) fixed draws.*$"), r"对影像自助法重采样 \1 次（标定结果固定）"),
     (
@@ -185,11 +173,6 @@ def short(name: str, language: Language) -> str:
     if sensor in ("camera_from_lidar", "boards_camera"):
         return _AXES[axis] if language == "zh" else axis
     return f"{_SENSORS[sensor]} {_AXES[axis]}" if language == "zh" else f"{sensor} {axis}"
-
-
-def reason(text: str, language: Language) -> str:
-    """Why something was not measured: the evaluator's usual reasons in Chinese, others as they are."""
-    return _translated(text, _REASONS) if language == "zh" else text
 
 
 def _translated(text: str, table: tuple[tuple[re.Pattern[str], str], ...]) -> str:

@@ -1,4 +1,5 @@
-"""Every word of the report in Chinese and English: one table, looked up by key. Names of parameters and requirements: `terms`.
+"""Every word of the report in Chinese and English: one table, looked up by key. Names of parameters: `terms`; conformity rows
+and reasons: `documents.phrases`.
 
 No markup and no number stands in here; `{name}` is filled in by the caller.
 """
@@ -119,10 +120,6 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "limit": ("限值", "limit"),
     "no_conformity": ("没有符合性记录。", "No conformity rows were made."),
     "all_conformity": ("全部 {n} 条", "All {n} rows"),
-    "conformity_note": (
-        "“实测”一栏为评价程序的原始记录（英文）。",
-        "",
-    ),
     # images
     "images_intro": (
         "每幅影像一图。黄色：检测到的标识中心（圆）及编号；红色十字：激光雷达棱面公共顶点按平差后的安置参数投影；蓝色："

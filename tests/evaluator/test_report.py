@@ -151,7 +151,7 @@ def test_bare_report(evaluation: Evaluation, bare_data: CampaignData, tmp_path: 
     text = (tmp_path / "r.html").read_text()
     assert text.count('class="grade not_measured"') == 8 + 6 + 8  # cards, groups, sections
     assert "8 项指标中已测 0 项" in text
-    assert text.count("检测中没有 bench/chessboard") == 3  # card, list of what is missing, section
+    assert text.count("本次检测无：bench/chessboard") == 3  # card, list of what is missing, section
     assert "bench/chessboard 的影像、board.json 与 log.csv" in text
     assert text.count('<td class="s-warning">无</td>') == 8
     assert "仿真" not in words(tmp_path / "r.html")
