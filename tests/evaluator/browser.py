@@ -37,6 +37,12 @@ os.dup2(ends[1], 4)
 os.execv(sys.argv[3], sys.argv[3:])
 """
 WAIT_S = 60.0  # for one answer: a machine may be busy
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+
+
+def chromium() -> str | None:
+    """The browser's command, where one is installed."""
+    return next((found for name in NAMES if (found := shutil.which(name))), None)
 
 
 class Browser:
@@ -113,8 +119,10 @@ class Browser:
             self.requests.append(event["params"]["request"]["url"])
 
     def script(self, text: str) -> Any:
-        """Value of an expression, or of the last of several statements, in the page."""
-        found = self._call("Runtime.evaluate", expression=f"{{{text}}}" if ";" in text else text, returnByValue=True)
+        """Value of an expression (a promise is awaited), or of the last of several statements, in the page."""
+        found = self._call(
+            "Runtime.evaluate", expression=f"{{{text}}}" if ";" in text else text, awaitPromise=True, returnByValue=True
+        )
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 
@@ -122,9 +130,16 @@ class Browser:
         """One attribute data-… that the page keeps of itself."""
         return str(self.script(f"document.documentElement?.dataset.{name} || ''"))
 
+    def load(self, path: Path) -> None:
+        """Opens a page from disk and waits until it is loaded."""
+        self._call("Page.navigate", url=path.resolve().as_uri())
+        end = time.monotonic() + WAIT_S
+        while time.monotonic() < end and self.script("document.readyState") != "complete":
+            time.sleep(0.05)
+
     def open(self, path: Path) -> None:
-        """Waits until the page has drawn."""
-        self._call("Page.navigate", url=path.as_uri())
+        """Waits until a page that keeps its state in data-… has drawn."""
+        self._call("Page.navigate", url=path.resolve().as_uri())
         end = time.monotonic() + WAIT_S
         while time.monotonic() < end and not (self.state("state") and self.state("frames")):
             time.sleep(0.1)

@@ -22,7 +22,8 @@ from evaluator.report.texts import TABLE, Texts
 from evaluator.results import Evaluation
 from evaluator.score import Score, ScoreItem
 
-BROWSER = runpy.run_path(str(Path(__file__).parent / "headless.py"))
+BROWSER = runpy.run_path(str(Path(__file__).with_name("browser.py")))
+CHROMIUM = BROWSER["chromium"]()
 NO_FIGURES = {"waveforms": (), "panels": (), "residuals": (), "mounting": None}
 
 
@@ -337,7 +338,7 @@ def test_hero_picture(previews: CampaignData, evaluation: Evaluation, tmp_path: 
         hero_picture(path, replace(evaluation, regions=(), residuals=(), marks=()))
 
 
-@pytest.mark.skipif(BROWSER["chromium"]() is None, reason="no Chromium on this machine")
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
 def test_page_in_a_browser(previews: CampaignData, evaluation: Evaluation, tmp_path: Path) -> None:
     """Rationale: a page that people open from disk must work there, on a phone too, without a network. Expected: no console error
     (the content security policy reports there), no request but for the file and what it carries, the indicators' table and all
@@ -345,23 +346,25 @@ def test_page_in_a_browser(previews: CampaignData, evaluation: Evaluation, tmp_p
     Tolerance: none."""
     path = tmp_path / "report.html"
     write_report(path, evaluation, made_up_score())
-    with BROWSER["Page"](tmp_path / "profile") as page:
-        page.open(path, width=390, height=800, mobile=True)
-        assert page.value("document.querySelectorAll('table.indicators tbody tr').length") == 6
-        assert page.value("document.querySelectorAll('#summary + .grid > .card').length") == 8
-        assert page.value("document.documentElement.scrollWidth") <= 390
-        decoded = page.value(
-            "Promise.all([...document.images].map(async i => { i.loading = 'eager'; await i.decode(); return i.naturalWidth }))"
+    with BROWSER["Browser"](CHROMIUM) as page:
+        page.size(390, 800)
+        page.load(path)
+        assert page.script("document.querySelectorAll('table.indicators tbody tr').length") == 6
+        assert page.script("document.querySelectorAll('#summary + .grid > .card').length") == 8
+        assert page.script("document.documentElement.scrollWidth") <= 390
+        decoded = page.script(
+            "Promise.all([...document.images].map(async i => { return (i.loading = 'eager', await i.decode(), i.naturalWidth) }))"
         )
         assert len(decoded) == 13 and min(decoded) > 100
         frame = "getComputedStyle(document.querySelector('.shots .frame')).position"
-        assert page.value(frame) == "static"
-        page.value("document.querySelector('.shots .open').click()")
-        assert page.value(frame) == "fixed"
-        page.value("document.querySelector('.shots .open').click()")
-        assert page.value(frame) == "static"
-        page.open(path, width=1280, height=900)
-        assert page.value("document.documentElement.scrollWidth") <= 1280
-        assert page.value("document.fonts.ready.then(f => [...f].filter(x => x.status == 'loaded').length)") == 1
+        assert page.script(frame) == "static"
+        page.script("document.querySelector('.shots .open').click()")
+        assert page.script(frame) == "fixed"
+        page.script("document.querySelector('.shots .open').click()")
+        assert page.script(frame) == "static"
+        page.size(1280, 900)
+        page.load(path)
+        assert page.script("document.documentElement.scrollWidth") <= 1280
+        assert page.script("document.fonts.ready.then(f => [...f].filter(x => x.status == 'loaded').length)") == 1
         assert [url for url in page.requests if not url.startswith(("file:", "data:", "about:"))] == []
-        assert page.errors == []
+        assert page.messages == []

@@ -29,8 +29,8 @@ from evaluator.view.terrain import filled
 
 N = 3000  # returns of a strip
 OFFSET_M = 0.05  # added to every measured range
-Browser = runpy.run_path(str(Path(__file__).with_name("browser.py")))["Browser"]
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+BROWSER = runpy.run_path(str(Path(__file__).with_name("browser.py")))
+CHROMIUM = BROWSER["chromium"]()
 
 
 def _returns(map_m: np.ndarray, time: np.ndarray, strip: int) -> Returns:
@@ -313,7 +313,7 @@ def browser() -> Iterator[Any]:
     """A headless Chromium without network."""
     if CHROMIUM is None:
         pytest.skip("no Chromium here")
-    with Browser(CHROMIUM) as started:
+    with BROWSER["Browser"](CHROMIUM) as started:
         yield started
 
 
