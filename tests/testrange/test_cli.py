@@ -287,3 +287,18 @@ def test_help_is_quick() -> None:
         spent.append(float(seconds))
         time.sleep(0.05)
     assert min(spent) <= 0.3
+
+
+def test_a_run_leaves_everything(tiny_run: Path) -> None:
+    """Rationale: what a user gets from one command. Expected: pages, the six documents twice, the evaluator's own picks of every
+    sortie; no file of another language."""
+    results = tiny_run / "results"
+    names = {str(p.relative_to(results)) for p in results.rglob("*") if p.is_file()}
+    assert {"results.json", "score.json", "report.html", "view.html"} < names
+    kinds = ("test_report", "flight_plan", "observation_radiometric", "observation_geometric")
+    kinds += ("calculation_radiometric", "calculation_geometric")
+    made = {n for n in names if n.startswith("documents/")}
+    assert made == {f"documents/{kind}_zh.{suffix}" for kind in kinds for suffix in ("pdf", "docx")}
+    sorties = {p.name for p in (tiny_run / "campaign" / "sorties").iterdir()}
+    picks = {n for n in names if n.startswith("observations/")}
+    assert picks == {f"observations/{s}/observations_{sensor}.csv" for s in sorties for sensor in ("camera", "lidar")}
