@@ -89,7 +89,7 @@ def config() -> Config:
 def test_images_alone_give_cameras_and_focal_length(tmp_path: Path) -> None:
     """Rationale: the rendered images are good enough for photogrammetry: texture, optics, noise and geometry belong together.
     Expected: one model with every image; camera centres within 3 GSD of the truth after a similarity fit; focal length within
-    0.5 %. Tolerance: the issue's. Measured figures: docs/exports.md.
+    0.5 %. Tolerance: what the export promises. Figures of other flights: docs/exports.md.
     """
     from simulator.simulate import simulate_campaign
 
