@@ -11,7 +11,14 @@ from pathlib import Path
 from campaign.errors import CampaignError
 
 # What marks a folder as one that this project wrote, and that `replace` may therefore delete.
-_OWN_MARKS = ("manifest.json", "results.json", "score.json", "matrix.json", "campaign/manifest.json", "results/results.json")
+_OWN_MARKS = (
+    "manifest.json",
+    "results.json",
+    "score.json",
+    "matrix.json",
+    "campaign/manifest.json",
+    "results/results.json",
+)
 
 
 @contextlib.contextmanager
