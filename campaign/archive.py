@@ -12,6 +12,7 @@ Everything is copied and hashed in one pass. No date of today: the same campaign
 
 import datetime
 import hashlib
+import unicodedata
 import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -33,6 +34,7 @@ TAG_MANIFEST = "tagmanifest-sha256.txt"
 DECLARATION = "BagIt-Version: 1.0\nTag-File-Character-Encoding: UTF-8\n"
 CAMPAIGN, RESULTS = "data/campaign", "data/results"
 CHUNK_BYTES = 1 << 20
+_UNWRITTEN = {"Cc", "Cs", "Zl", "Zp"}  # control characters, lone surrogates, separators of lines: they break the lists
 _ZIP64_ABOVE = 1_900_000_000  # bytes; the plain form ends at 2^31 - 1
 
 
@@ -66,6 +68,11 @@ def write_archive(campaign: Path, results: Path | None, out: Path, progress: Rep
     owner = results_campaign(folder)
     if owner is not None and owner != manifest.campaign:
         raise CampaignError("results of another campaign", where=str(folder), got=owner, expected=manifest.campaign)
+    if unsafe(manifest.campaign) or "/" in manifest.campaign:
+        raise CampaignError(
+            "names no folder of an archive", where=f"{MANIFEST_NAME} campaign", got=repr(manifest.campaign[:40])
+        )
+    date = _zip_date(manifest)
     for source in (campaign, *([folder] if folder else [])):
         if out.resolve().is_relative_to(source.resolve()):
             raise CampaignError("lies inside what is archived", where=str(out), remedy="choose another place")
@@ -75,13 +82,13 @@ def write_archive(campaign: Path, results: Path | None, out: Path, progress: Rep
         wrong = unsafe(name)
         if wrong:
             raise CampaignError(f"its name {wrong}", where=repr(str(path)), remedy="rename the file")
-    if out.suffix == ".zip":
+    if out.suffix.lower() == ".zip":
         if out.exists():
             raise CampaignError("already exists", where=str(out), remedy="choose another place or delete it")
         with complete_file(out) as work:
             top = manifest.campaign
             with zipfile.ZipFile(work, "w", zipfile.ZIP_STORED) as pack:
-                _write(_ZipSink(pack, top, _zip_date(manifest)), manifest, files, folder, progress)
+                _write(_ZipSink(pack, top, date), manifest, files, folder, progress)
         return
     with complete_folder(out) as work:
         _write(_FolderSink(work), manifest, files, folder, progress)
@@ -202,7 +209,7 @@ def _manifest_text(files: dict[str, _Written]) -> str:
 def unsafe(name: str) -> str | None:
     """Why a path may not stand in an archive; None: it may."""
     parts = name.split("/")
-    if not name or "\\" in name or any(ord(c) < 32 or 0xD800 <= ord(c) < 0xE000 or ord(c) == 127 for c in name):
+    if not name or "\\" in name or any(unicodedata.category(c) in _UNWRITTEN for c in name):
         return "holds a character that other systems cannot write"
     if name.startswith("/") or ":" in parts[0] or any(part in ("", ".", "..") for part in parts):
         return "leaves the archive"

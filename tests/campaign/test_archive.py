@@ -322,3 +322,43 @@ def test_no_archive_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(CampaignError, match="no such archive"):
         check_archive(tmp_path / "nowhere.zip")
     shutil.rmtree(tmp_path / "empty")
+
+
+@pytest.mark.parametrize("name", ["../../evil", "/abs", "a/b", "", ".", "..", "a\\b", "a\u2028b", "a\x00b"])
+def test_a_campaign_whose_name_is_no_folder_is_refused(
+    hand_campaign: CampaignFolder, tmp_path: Path, name: str
+) -> None:
+    """Rationale: the name becomes the folder inside the zip, from where "../.." would be unpacked beside the archive.
+    Expected: one line, nothing written."""
+    file = hand_campaign.root / "manifest.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "campaign": name}))
+    with pytest.raises(CampaignError, match="names no folder"):
+        write_archive(hand_campaign.root, None, tmp_path / "out.zip")
+    assert not list(tmp_path.glob("*out*"))
+
+
+@pytest.mark.parametrize("name", ["a\u2028b.txt", "a\u2029b.txt", "a\x85b.txt"])
+def test_a_file_name_that_breaks_a_line_is_refused(
+    hand_campaign: CampaignFolder, results: Path, tmp_path: Path, name: str
+) -> None:
+    """Rationale: a list of checksums is read by lines, and readers take these for ends of lines. Expected: refused when
+    written; such an archive was written and then failed its own check."""
+    (results / name).write_text("x")
+    with pytest.raises(CampaignError, match="other systems cannot write"):
+        write_archive(hand_campaign.root, results, tmp_path / "out.zip")
+
+
+def test_a_day_that_is_none_is_refused_in_both_forms(hand_campaign: CampaignFolder, tmp_path: Path) -> None:
+    """Rationale: the zip refused 30 February and the folder filed it. Expected: both refuse."""
+    file = hand_campaign.root / "manifest.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "date": "2026-02-30"}))
+    for out in ("out.zip", "out"):
+        with pytest.raises(CampaignError, match="is no date"):
+            write_archive(hand_campaign.root, None, tmp_path / out)
+
+
+def test_a_suffix_in_capitals_is_a_zip(hand_campaign: CampaignFolder, tmp_path: Path) -> None:
+    """Rationale: the check takes .ZIP for a zip. Expected: a file, not a folder of that name; sound."""
+    write_archive(hand_campaign.root, None, tmp_path / "out.ZIP")
+    assert (tmp_path / "out.ZIP").is_file()
+    assert not errors(tmp_path / "out.ZIP")
