@@ -55,6 +55,8 @@ def complete_folder(target: Path, replace: bool = False) -> Iterator[Path]:
 @contextlib.contextmanager
 def complete_file(target: Path) -> Iterator[Path]:
     """Give a temporary name beside `target` (same suffix); rename it when the block ends, remove it when the block fails."""
+    if target.name in ("", "..") or target.is_dir():
+        raise CampaignError("is a folder", where=str(target), expected="the name of a file to write")
     work = target.with_name(f".{target.stem}.part{target.suffix}")
     with readable_os_errors(target):
         try:

@@ -68,3 +68,13 @@ def test_an_unwritable_place_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(CampaignError, match="cannot be written"), complete_folder(tmp_path / "file" / "out"):
         pass
+
+
+@pytest.mark.parametrize("place", ["/", ".", "..", "folder"])
+def test_a_file_to_write_has_a_name(tmp_path: Path, place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rationale: `view --out /` ended in an internal error, and a folder of that name was found out only when all was written.
+    Expected: one line, before the work."""
+    (tmp_path / "folder").mkdir()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(CampaignError, match="is a folder"), complete_file(Path(place)):
+        raise AssertionError("the work began")
