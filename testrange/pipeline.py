@@ -256,6 +256,8 @@ def view(place: Path, out: Path | None, progress: ProgressCallback, language: La
     from testrange.viewing import find_page
 
     campaign = place / "campaign" if (place / "campaign").is_dir() else place
+    if out is not None and (out.suffix.lower() not in (".html", ".htm") or out.is_dir()):
+        raise CampaignError("is no name of a page", where=str(out), expected="a file that ends in .html")
     if out is None:
         try:
             return find_page(place)

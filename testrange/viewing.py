@@ -6,7 +6,9 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+from campaign.archive_lists import results_campaign
 from campaign.errors import TestrangeError
+from campaign.manifest import read_manifest
 
 HOST = "127.0.0.1"
 PORT = 8041
@@ -34,13 +36,24 @@ def find_page(place: Path) -> Path:
         raise TestrangeError("no such file or folder", where=str(place))
     offered = [place / "view.html", place / "results" / "view.html"]
     if (place / "manifest.json").is_file():
-        offered.append(place.resolve().parent / "results" / "view.html")
+        beside = place.resolve().parent / "results"
+        # several campaigns may lie beside one results folder
+        if results_campaign(beside) in (None, _campaign_id(place)):
+            offered.append(beside / "view.html")
     for page in offered:
         if page.is_file():
             return page
     raise TestrangeError(
         "holds no view.html", where=str(place), remedy="testrange run and testrange evaluate write one"
     )
+
+
+def _campaign_id(campaign: Path) -> str | None:
+    """The name that manifest.json gives; None where it cannot be read."""
+    try:
+        return read_manifest(campaign).campaign
+    except TestrangeError:
+        return None
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from campaign.errors import TestrangeError
+from testrange import pipeline
 from testrange.viewing import HOST, find_page, make_server, serve
 
 
@@ -143,3 +144,22 @@ def test_recording(tiny_run: Path, tmp_path: Path) -> None:
             assert f"world/points/sortie_{s.folder.number:02d}/strip_{strip:02d}/".encode() in content
     time = evaluation.data.sorties[0].exposures[0].gps_time_s
     assert str(unix_time_s(evaluation.data, time).astype("datetime64[s]")).startswith(evaluation.data.manifest.date)
+
+
+def test_results_of_another_campaign_are_not_its_page(page: Path) -> None:
+    """Rationale: two campaigns beside one results folder: the second was shown the first one's page. Expected: no page."""
+    (page.parent / "results.json").write_text('{"campaign": "other"}')
+    with pytest.raises(TestrangeError, match="holds no view"):
+        find_page(page.parent.parent / "campaign")
+    assert find_page(page.parent) == page
+
+
+@pytest.mark.parametrize("name", ["results/results.json", "campaign/manifest.json", "results", "campaign/page.txt"])
+def test_a_page_is_not_written_over_something_else(page: Path, name: str) -> None:
+    """Rationale: `view CAMPAIGN --out CAMPAIGN/manifest.json` put the page in the place of the manifest. Expected: refused
+    before anything is evaluated, the file untouched."""
+    run = page.parent.parent
+    before = (run / "campaign" / "manifest.json").read_bytes()
+    with pytest.raises(TestrangeError, match="no name of a page"):
+        pipeline.view(run, run / name, lambda *_: None, "zh")
+    assert (run / "campaign" / "manifest.json").read_bytes() == before
