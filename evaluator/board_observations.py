@@ -19,7 +19,8 @@ from evaluator.observe.boards import BoardFit, BoardView, find_board, sides_px
 
 _HAND_STD_PX = 0.5  # of a pixel that a person picked
 _SHADOW_SHARE = 0.6  # a board whose white has less than this of the others' lies in a shadow
-_OTHER_AZIMUTH = "the board that stands there has the azimuth of "
+_OTHER_AZIMUTH, _OR = "the board that stands there has the azimuth of ", " or "
+_AS_GOOD = 2.0  # times the least rms: a board some degrees away from another's azimuth is fitted nearly as well
 # Points of the two edges that cross in the centre, over the board's size: what the plane's homography is fitted to, as the
 # fit rests on these edges. A square grid's corners bend it by the lens's distortion, which moved centres outward by 0.002 px.
 _GRID = np.array([[t, 0.0] for t in np.linspace(-0.5, 0.5, 9)] + [[0.0, t] for t in np.linspace(-0.5, 0.5, 9)])
@@ -220,8 +221,10 @@ def boards_not_found(reasons: Mapping[str, str], observations: Sequence[BoardObs
 
 def swapped_by_azimuth(not_found: Mapping[str, str]) -> list[tuple[str, str]]:
     """Pairs of boards each of which stands at the other's azimuth: their places are exchanged in the survey."""
-    other = {b: r.removeprefix(_OTHER_AZIMUTH) for b, r in not_found.items() if r.startswith(_OTHER_AZIMUTH)}
-    return sorted((a, b) for a, b in other.items() if a < b and other.get(b) == a)
+    other = {
+        b: set(r.removeprefix(_OTHER_AZIMUTH).split(_OR)) for b, r in not_found.items() if r.startswith(_OTHER_AZIMUTH)
+    }
+    return sorted((a, b) for a in other for b in other[a] if a < b and a in other.get(b, ()))
 
 
 def _height(data: CampaignData, view: BoardView, target: SurveyedTarget) -> float:
@@ -240,12 +243,12 @@ def _find(
     black_level: float,
     full_scale: float,
 ) -> BoardFit | str:
-    """The board, or a reason; one that stands there at another board's azimuth is named as such."""
+    """The board, or a reason; one that stands there at the azimuth of another, or of some others, is named as such."""
     clipped = 0.995 * full_scale
     fit = find_board(grey, view, search_px, clipped_at=clipped, black_level=black_level)
     if isinstance(fit, BoardFit):
         return fit
-    best, name = np.inf, ""
+    fits: dict[str, float] = {}
     for other in boards(data):
         turn = np.radians(other.azimuth_deg - target.azimuth_deg)
         if other.id == target.id or abs(np.sin(turn)) < np.sin(np.radians(5.0)):
@@ -254,9 +257,12 @@ def _find(
         turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         as_other = replace(view, offset_from_board=view.offset_from_board @ turned)
         there = find_board(grey, as_other, search_px, clipped_at=clipped, black_level=black_level)
-        if isinstance(there, BoardFit) and there.rms < best:
-            best, name = there.rms, other.id
-    return f"{_OTHER_AZIMUTH}{name}" if name else fit
+        if isinstance(there, BoardFit):
+            fits[other.id] = there.rms
+    if not fits:
+        return fit
+    least = min(fits.values())
+    return _OTHER_AZIMUTH + _OR.join(sorted(name for name, rms in fits.items() if rms <= _AS_GOOD * least))
 
 
 def _without_shadowed(found: list[BoardObservation], reasons: dict[str, str]) -> list[BoardObservation]:

@@ -143,8 +143,8 @@ def test_exchanged_places_missing_and_shaded_boards_are_named(flown: Flown) -> N
         images[image] = pixels
     found, reasons = observe(data, images)
     for image in images:
-        assert reasons[f"{a}, {image}"].endswith(f"azimuth of {b}")
-        assert reasons[f"{b}, {image}"].endswith(f"azimuth of {a}")
+        assert b in reasons[f"{a}, {image}"].partition("azimuth of ")[2].split(" or ")
+        assert a in reasons[f"{b}, {image}"].partition("azimuth of ")[2].split(" or ")
         assert "no board" in reasons[f"{missing}, {image}"]
         assert "shadow" in reasons[f"{across}, {image}"]
         assert "in shadow: its white has 2" in reasons[f"{shaded}, {image}"]
