@@ -259,20 +259,21 @@ def export(
     Parameters
     ----------
     campaign
-        A campaign folder.
+        A campaign folder, or what testrange run wrote.
     to
         colmap: images and model; odm: images with GPS tags and gcp_list.txt; clouds: PLY and PCD with image pairs;
         mcap: a recording (extra `mcap`).
     out
         A new folder; for mcap also a file that ends in .mcap.
     results
-        results.json: the adjusted mountings are used instead of the data sheets'.
+        results.json: the adjusted mountings are used instead of the data sheets'; results/ beside the campaign where
+        testrange run wrote both.
     """
-    from testrange.export import export_campaign
+    from testrange import pipeline
     from testrange.progress import display
 
     with display(quiet=quiet) as progress:
-        files = export_campaign(campaign, out, to, progress, results=results)
+        files = pipeline.export(campaign, out, to, results, progress)
     if json:
         _print_json({"files": [str(f) for f in files]})
     else:

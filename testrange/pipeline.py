@@ -23,6 +23,7 @@ from evaluator.score import Score, score_campaign, write_score
 from testrange.progress import ProgressCallback
 
 if TYPE_CHECKING:
+    from testrange.export import Format
     from testrange.faults import FaultMatrix, FaultStudy
 
 KEEP_GOING = "testrange evaluate --keep-going"
@@ -221,29 +222,57 @@ def score(campaign: Path, results: Path) -> tuple[Score, Path]:
     return scored, target
 
 
+def _campaign_of(place: Path) -> Path:
+    """The campaign folder that a path means: itself, or campaign/ in what `run` wrote."""
+    campaign = place / "campaign" if (place / "campaign").is_dir() else place
+    if not (campaign / "manifest.json").is_file():
+        raise CampaignError(
+            "no campaign in it", where=str(place), expected="a campaign folder, or what testrange run wrote"
+        )
+    return campaign
+
+
+def _results_of(place: Path, campaign: Path) -> Path | None:
+    """results/ beside the campaign of a run."""
+    beside = place / "results"
+    return beside if campaign != place and beside.is_dir() else None
+
+
+def _require_kind(out: Path, *suffixes: str) -> None:
+    """A file to write is of its kind, so that no other is replaced by it."""
+    if out.suffix.lower() not in suffixes or out.is_dir():
+        raise CampaignError(
+            "is no name for it", where=str(out), expected=f"a file that ends in {' or '.join(suffixes)}"
+        )
+
+
 def picture(run_folder: Path, out: Path, progress: ProgressCallback) -> None:
     """One composite picture of a run: image with overlays, waveforms, grades."""
     from campaign.atomic import complete_file
     from evaluator.evaluate import evaluate_campaign
     from evaluator.report import hero_picture
 
-    campaign = run_folder / "campaign" if (run_folder / "campaign").is_dir() else run_folder
-    if not (campaign / "manifest.json").is_file():
-        raise CampaignError("no campaign in it", where=str(run_folder), expected="the folder that testrange run wrote")
-    evaluation = evaluate_campaign(campaign, progress)
+    _require_kind(out, ".png", ".jpg")
+    evaluation = evaluate_campaign(_campaign_of(run_folder), progress)
     with complete_file(out) as work:
         hero_picture(work, evaluation)
 
 
-def archive(campaign: Path, results: Path | None, out: Path, progress: ProgressCallback) -> Path:
-    """One verifiable package of a campaign and its results (10.3). `campaign` may be what `run` wrote, which has both."""
+def archive(place: Path, results: Path | None, out: Path, progress: ProgressCallback) -> Path:
+    """One verifiable package (10.3) of a campaign and its results; a run's folder has both."""
     from campaign.archive import write_archive
 
-    if (campaign / "campaign" / "manifest.json").is_file():
-        beside = campaign / "results"
-        campaign, results = campaign / "campaign", results or (beside if beside.is_dir() else None)
-    write_archive(campaign, results, out, progress)
+    campaign = _campaign_of(place)
+    write_archive(campaign, results or _results_of(place, campaign), out, progress)
     return out
+
+
+def export(place: Path, out: Path, to: "Format", results: Path | None, progress: ProgressCallback) -> list[Path]:
+    """A campaign in the formats of other tools; of a run's folder with its results."""
+    from testrange.export import export_campaign
+
+    campaign = _campaign_of(place)
+    return export_campaign(campaign, out, to, progress, results=results or _results_of(place, campaign))
 
 
 def view(place: Path, out: Path | None, progress: ProgressCallback, language: Language) -> Path:
@@ -255,17 +284,15 @@ def view(place: Path, out: Path | None, progress: ProgressCallback, language: La
     from evaluator.view import write_view
     from testrange.viewing import find_page
 
-    campaign = place / "campaign" if (place / "campaign").is_dir() else place
-    if out is not None and (out.suffix.lower() not in (".html", ".htm") or out.is_dir()):
-        raise CampaignError("is no name of a page", where=str(out), expected="a file that ends in .html")
-    if out is None:
+    if out is not None:
+        _require_kind(out, ".html", ".htm")
+    else:
         try:
             return find_page(place)
         except TestrangeError:
-            if not (campaign / "manifest.json").is_file():
+            if not (place / "manifest.json").is_file() and not (place / "campaign" / "manifest.json").is_file():
                 raise
-    elif not (campaign / "manifest.json").is_file():
-        raise CampaignError("no campaign in it", where=str(place), expected="a campaign folder")
+    campaign = _campaign_of(place)
     evaluation = evaluate_campaign(campaign, progress)
     target = out or campaign.resolve().parent / "view.html"
     write_view(target, evaluation, build_results(evaluation), point_errors(campaign), language)
@@ -279,9 +306,8 @@ def record(place: Path, out: Path, progress: ProgressCallback) -> list[str]:
     from evaluator.score_points import point_errors
     from testrange.rerun_log import write_rrd
 
-    campaign = place / "campaign" if (place / "campaign").is_dir() else place
-    if not (campaign / "manifest.json").is_file():
-        raise CampaignError("no campaign in it", where=str(place), expected="a campaign folder")
+    _require_kind(out, ".rrd")
+    campaign = _campaign_of(place)
     evaluation = evaluate_campaign(campaign, progress)
     with complete_file(out) as work:
         return write_rrd(work, evaluation, point_errors(campaign))
