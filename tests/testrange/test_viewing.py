@@ -160,6 +160,6 @@ def test_a_page_is_not_written_over_something_else(page: Path, name: str) -> Non
     before anything is evaluated, the file untouched."""
     run = page.parent.parent
     before = (run / "campaign" / "manifest.json").read_bytes()
-    with pytest.raises(TestrangeError, match="is no name for it; expected a file that ends in .html"):
+    with pytest.raises(TestrangeError, match=r"is no name for it; expected a file that ends in \.html"):
         pipeline.view(run, run / name, lambda *_: None, "zh")
     assert (run / "campaign" / "manifest.json").read_bytes() == before
