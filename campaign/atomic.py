@@ -102,7 +102,9 @@ def _check_target(target: Path, replace: bool) -> None:
         return
     if not replace:
         raise CampaignError(
-            "already exists and is not empty", where=str(target), remedy="choose another place or delete it"
+            "already exists and is not empty",
+            where=str(target),
+            remedy="choose another place, delete it, or add --replace",
         )
     if not any((target / mark).is_file() for mark in _OWN_MARKS):
         raise CampaignError(

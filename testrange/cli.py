@@ -154,6 +154,7 @@ def evaluate(
     from testrange import pipeline
     from testrange.progress import display
 
+    campaign = pipeline.inside_run(campaign)
     target = out or campaign.resolve().parent / "results"
     with display(quiet=quiet) as progress:
         done = pipeline.evaluate(
@@ -336,8 +337,9 @@ def check(path: str, /, *, set_: Settings = (), json: Json = False) -> int:
         found = [(p.severity, p.where, p.message) for p in check_archive(Path(path))]
     elif Path(path).is_dir():
         from campaign.check import check_campaign
+        from testrange.pipeline import inside_run
 
-        found = [(p.severity, p.where, p.message) for p in check_campaign(Path(path))]
+        found = [(p.severity, p.where, p.message) for p in check_campaign(inside_run(Path(path)))]
     else:
         from campaign.errors import ConfigError
         from campaign.load import load_config

@@ -222,9 +222,14 @@ def score(campaign: Path, results: Path) -> tuple[Score, Path]:
     return scored, target
 
 
+def inside_run(place: Path) -> Path:
+    """campaign/ where `place` is what `run` wrote, else the path itself."""
+    return place / "campaign" if (place / "campaign").is_dir() else place
+
+
 def _campaign_of(place: Path) -> Path:
     """The campaign folder that a path means: itself, or campaign/ in what `run` wrote."""
-    campaign = place / "campaign" if (place / "campaign").is_dir() else place
+    campaign = inside_run(place)
     if not (campaign / "manifest.json").is_file():
         raise CampaignError(
             "no campaign in it", where=str(place), expected="a campaign folder, or what testrange run wrote"

@@ -130,7 +130,7 @@ def result_blocks(results: Mapping[str, Any], language: Language) -> list[Block]
         Paragraph(
             text=say(
                 language,
-                "注：* 为较低单指标一致性程度所评估的一致性检测结果。程度按未取舍的数值评定，界限值属较高一级；组内有指标未测时，"
+                "注：* 为较低单指标一致性程度所评估的一致性检测结果。程度按未修约的数值评定，界限值属较高一级；组内有指标未测时，"
                 "该组不评定。",
                 "Note: * the degree is the lower one of the group's indicators. The unrounded value is graded; a value on a bound "
                 "takes the better degree; a group with an indicator that was not measured has none.",

@@ -113,7 +113,7 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "status_pass": ("符合", "pass"),
     "status_fail": ("不符合", "fail"),
     "status_warning": ("注意", "warning"),
-    "status_not_recorded": ("无记录", "not recorded"),
+    "status_not_recorded": ("未记录", "not recorded"),
     "status_not_applicable": ("不适用", "not applicable"),
     "requirement": ("要求", "requirement"),
     "measured": ("实测", "measured"),

@@ -7,7 +7,7 @@ Language = Literal["zh", "en"]
 _WORDS: dict[str, tuple[str, str]] = {
     "title": ("三维视图", "3D view"),
     "synthetic": (
-        "虚拟检测场仿真数据，未检测任何真实仪器。",
+        "虚拟检测场仿真数据，未检测任何实物仪器。",
         "Synthetic data of a virtual range; no instrument was tested.",
     ),
     "no_webgl": (
