@@ -110,7 +110,6 @@ PLOT_TABLE: dict[str, tuple[str, str]] = {
     "acceleration": ("加速度 [m/s²]", "acceleration [m/s²]"),
     "limit_is": ("限值 {v:g} {unit}", "limit {v:g} {unit}"),
     "design_height": ("设计航高与限值", "design height, limits"),
-    "no_trajectory": ("无航迹", "no trajectory"),
     "amplitude": ("振幅 A [DN]", "amplitude A [DN]"),
     "range": ("距离 L [m]", "range L [m]"),
     "reflectance_percent": ("反射率 [%]", "reflectance [%]"),

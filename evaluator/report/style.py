@@ -91,13 +91,6 @@ def svg_uri(drawn: Figure) -> str:
     return _uri("image/svg+xml", buffer.getvalue())
 
 
-def jpeg_uri(drawn: Figure, dpi: float) -> str:
-    """The figure as JPEG, for photographs."""
-    buffer = io.BytesIO()
-    drawn.savefig(buffer, format="jpg", dpi=dpi, pil_kwargs={"quality": 85})
-    return _uri("image/jpeg", buffer.getvalue())
-
-
 def font_uri(text: str) -> str:
     """Noto Sans SC cut down to the Chinese characters and their punctuation that `text` uses, as WOFF.
 

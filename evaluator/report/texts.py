@@ -60,7 +60,6 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "measured_count": ("8 项指标中已测 {n} 项。", "{n} of 8 indicators were measured."),
     "reason": ("原因", "reason"),
     "needs": ("所需数据", "needs"),
-    "nothing_missing": ("8 项指标均已测。", "All eight indicators were measured."),
     # data
     "part": ("内容", "part"),
     "holds": ("本次检测", "in this campaign"),
@@ -119,7 +118,6 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "measured": ("实测", "measured"),
     "limit": ("限值", "limit"),
     "no_conformity": ("没有符合性记录。", "No conformity rows were made."),
-    "all_conformity": ("全部 {n} 条", "All {n} rows"),
     # images
     "images_intro": (
         "每幅影像一图。黄色：检测到的标识中心（圆）及编号；红色十字：激光雷达棱面公共顶点按平差后的安置参数投影；蓝色："
@@ -142,7 +140,6 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "image_error": ("，平均标定误差 {px} px", ", mean error {px} px"),
     "zooms": ("靶标放大图", "targets enlarged"),
     "image_empty": ("；其中没有用到的靶标", "; no target in it was used"),
-    "zoom_scale": ("原始像素，每格边长 {px} 像素起", "cells of {px} original pixels and more"),
     # mounting
     "mounting_intro": (
         "相对设计安置的改正数，相机与激光雷达联合平差。单位权中误差 {sigma0}，多余观测 {redundancy}，剔除观测 {rejected} 个。",
@@ -233,7 +230,6 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "truth": ("真值", "truth"),
     "error": ("误差", "error"),
     # benches
-    "h_parameters": ("单传感器参数", "Sensors on the bench"),
     "lens_title": ("相机内方位元素与畸变参数", "Camera: interior orientation and distortion"),
     "lens_note": (
         "{n} 幅影像，未用 {out} 幅；影像左上角为 (0, 0)，第一个像素中心为 (0.5, 0.5)。{setting}",
