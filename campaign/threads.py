@@ -1,9 +1,25 @@
-"""BLAS at one thread where bytes count: with more, sums are split by the number of cores and their last digits follow it."""
+"""How many threads a process uses: BLAS one where bytes count (with more, sums are split by the number of cores and their last
+digits follow it), all else every core it may use, or what TESTRANGE_THREADS says.
+"""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+THREADS_VARIABLE = "TESTRANGE_THREADS"
+
+
+def thread_count() -> int:
+    """Threads of one process: TESTRANGE_THREADS where it is a positive number, else every core that the process may use.
+
+    A pool of processes sets it to 1 in each: two processes with two Dr.Jit threads each are no faster than one.
+    """
+    told = os.environ.get(THREADS_VARIABLE, "")
+    if told.isdecimal() and int(told) > 0:
+        return int(told)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
 @contextmanager

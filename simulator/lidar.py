@@ -5,7 +5,6 @@ with the nominal mounting places the returns, as post-processing does on real da
 `simulator.radar_equation`, the ray tracing in `simulator.render.waveforms`, echo detection in `simulator.device`.
 """
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
@@ -15,6 +14,7 @@ import numpy as np
 from campaign.config import Config, Lidar
 from campaign.errors import ConfigError
 from campaign.las import Returns
+from campaign.threads import thread_count
 from campaign.truth import TrueReturns
 from scenes.model import Scene
 from scenes.spectra import reflectance_at
@@ -156,7 +156,7 @@ def observe(
     optics = optics_from(lidar, config.environment.visibility_km)
     tracer = Tracer(render_scene, backscatter(render_scene.scene, lidar.wavelength_nm), optics)
     post = _PostProcessing(config, strip, estimated_motion, nominal_mounting, chart, render_scene.scene, optics)
-    device = Device(lidar, threads=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
+    device = Device(lidar, threads=thread_count())
     count = scanner.pulse_count(strip.end_s - strip.start_s)
     limit_m = unambiguous_range_m(scanner.pulse_interval_s)
     starts = range(0, count, config.recording.pulses_per_chunk)

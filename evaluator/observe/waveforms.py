@@ -5,13 +5,13 @@ A packet is a baseline plus a sum of Gaussians. This module estimates baseline a
 files and does not know panels.
 """
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
 
+from campaign.threads import thread_count
 from evaluator.model import EvaluationError
 
 FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
@@ -125,7 +125,7 @@ def decompose(
         raise EvaluationError("a waveform sample is infinite", expected="finite samples, NaN for none")
     p = data.shape[0]
     s0 = echo_fwhm_ns / FWHM_PER_SIGMA / sampling_ns
-    pool_size = threads or _processors()
+    pool_size = threads or thread_count()
 
     level, spread = np.full(p, np.nan), np.full(p, np.nan)
     blocks = [slice(i, min(i + _BLOCK, p)) for i in range(0, p, _BLOCK)]
@@ -192,11 +192,6 @@ def model_packets(echoes: Echoes, sampling_ns: float, samples: int) -> np.ndarra
     z = (t[None, :] - echoes.centre_ns[:, None]) / (echoes.fwhm_ns[:, None] / FWHM_PER_SIGMA)
     np.add.at(model, echoes.packet, echoes.amplitude_dn[:, None] * np.exp(-0.5 * z * z))
     return model
-
-
-def _processors() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
 def _noise_model(

@@ -4,15 +4,14 @@ One variant serves camera and LiDAR: Mitsuba builds the scene and traces the ray
 averaged over a band or taken at the laser line, so no variant's spectral limits apply.
 """
 
-import os
-
+from campaign.threads import thread_count
 from simulator.render.native import prepare
 
 VARIANT = "llvm_ad_rgb"
 
 
 def start(threads: int | None = None) -> None:
-    """Load Mitsuba once and set the number of Dr.Jit's worker threads (default: every core this process may use)."""
+    """Load Mitsuba once and set the number of Dr.Jit's worker threads (default: `campaign.threads.thread_count`)."""
     prepare()
     import drjit as dr
     import mitsuba as mi
@@ -20,4 +19,4 @@ def start(threads: int | None = None) -> None:
     if mi.variant() != VARIANT:
         mi.set_variant(VARIANT)
     mi.set_log_level(mi.LogLevel.Warn)
-    dr.set_thread_count(threads if threads is not None else len(os.sched_getaffinity(0)))
+    dr.set_thread_count(threads if threads is not None else thread_count())
