@@ -166,10 +166,10 @@ def named(pair: Pair, values: Sequence[Decimal]) -> str | None:
 
 def _distance(values: Sequence[Decimal], truth: Sequence[Decimal], tolerance: Sequence[Decimal]) -> float:
     """Greatest difference in units of its tolerance."""
-    return max(
-        min(float(_CONTEXT.divide(abs(_CONTEXT.subtract(v, t)), tol))
-        for v, t, tol in zip(values, truth, tolerance, strict=True)
+    far = (
+        _CONTEXT.divide(abs(_CONTEXT.subtract(v, t)), tol) for v, t, tol in zip(values, truth, tolerance, strict=True)
     )
+    return max(min(float(d), _FARTHEST) for d in far)
 
 
 def _flat(answer: Answer, pair: str, depth: int = 0) -> list[float | int | str | Decimal]:
