@@ -153,6 +153,7 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
             "vertices_not_found": dict(sorted(geometry.vertex_reasons.items())) if geometry else {},
             "planes_not_found": dict(sorted(geometry.plane_reasons.items())) if geometry else {},
             "target_points": target_points(data, returns, lidar_panels, geometry.vertices if geometry else ()),
+            "panel_returns": tuple((o.panel, o.sortie, o.strip, o.points) for o in lidar_panels),
         },
         sphere=benches.sphere,
         chessboard=benches.chessboard,
