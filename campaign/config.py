@@ -324,6 +324,22 @@ class Faults(Model):
     )
     lidar_gain: Positive = Field(1.0, description="factor on the received power")
     camera_gain: Positive = 1.0
+    panel_laser_gain: tuple[tuple[str, Annotated[float, Field(ge=-1.0, le=1.0)]], ...] = Field(
+        (),
+        description="panel id, and by how much its reflectance at the laser's line rose since the spectrometer read it",
+    )
+    range_table: tuple[tuple[NonNegative, float], ...] = Field(
+        (),
+        description="range and error in metres, linear between its rows and constant beyond; added to what is measured",
+    )
+    image_ripple_px: Annotated[float, Field(ge=0.0, le=20.0)] = Field(
+        0.0, description="amplitude of a wavy displacement of the picture on the sensor, which no lens model holds"
+    )
+    image_ripple_period_px: Annotated[float, Field(ge=40.0)] = 180.0
+    stability_gains: tuple[Positive, ...] = Field(
+        (), description="the camera's relative response, image by image of bench/sphere_stability; absent: constant"
+    )
+    repeatability_gains: tuple[Positive, ...] = Field((), description="the same for bench/sphere_repeatability")
 
 
 class Render(Model):

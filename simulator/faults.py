@@ -3,11 +3,14 @@
 Faults of mountings live in `rig`, of clocks, ranges and gains where the sensor is read out.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from pydantic import ValidationError
 
 from campaign.config import Config, Faults, Lens
 from campaign.errors import ConfigError
+from scenes.model import Material, Scene
 
 
 def true_lens(config: Config) -> Lens:
@@ -61,6 +64,7 @@ def require_targets(config: Config, ids: tuple[str, ...]) -> None:
     faults = config.faults
     named = [("survey_target", faults.survey_target)] if faults.survey_target is not None else []
     named += [("swapped_targets", each) for each in faults.swapped_targets or ()]
+    named += [("panel_laser_gain", each) for each, _ in faults.panel_laser_gain]
     for key, target in named:
         if target not in ids:
             raise ConfigError(
@@ -77,6 +81,43 @@ def require_targets(config: Config, ids: tuple[str, ...]) -> None:
         raise ConfigError(
             "no target is named for it", where="faults.survey_error_m", remedy="set faults.survey_target to its id"
         )
+
+
+def with_panel_gains(config: Config, scene: Scene, sign: float = 1.0) -> Scene:
+    """The scene whose panels reflect more (less) at the laser's line by `faults.panel_laser_gain`: moist or dirty since they were
+    measured. A narrow band of the spectrum changes, far from the camera's; `sign` -1 takes it back.
+
+    Raises
+    ------
+    ConfigError
+        No such panel, or a reflectance below 0.002 or above 1.
+    """
+    gains = dict(config.faults.panel_laser_gain)
+    if not gains:
+        return scene
+    require_targets(config, tuple(target.id for target in scene.targets))
+    line = config.lidar.wavelength_nm
+    spectra: dict[str, Material] = {}
+    for target in scene.targets:
+        if target.id in gains and target.spectrum is not None:
+            nm, old = target.spectrum.wavelength_nm, target.spectrum.reflectance
+            new = old + sign * gains[target.id] * np.clip(1.0 - (np.abs(nm - line) - 10.0) / 20.0, 0.0, 1.0)
+            if new.min() < 0.002 or new.max() > 1.0:
+                raise ConfigError(
+                    "leaves no reflectance of a panel",
+                    where=f"faults.panel_laser_gain {target.id}",
+                    got=f"{new.min():.3f} to {new.max():.3f}",
+                    expected="0.002 to 1",
+                )
+            spectra[target.spectrum.name] = replace(target.spectrum, reflectance=new)
+    return replace(
+        scene,
+        materials=tuple(spectra.get(m.name, m) for m in scene.materials),
+        targets=tuple(
+            replace(t, spectrum=spectra.get(t.spectrum.name, t.spectrum)) if t.spectrum is not None else t
+            for t in scene.targets
+        ),
+    )
 
 
 def faulty_survey(config: Config, ids: tuple[str, ...], map_m: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ from simulator.frames import rpy_from_rotation
 from simulator.motion import Motion, Strip
 from simulator.randomness import Stream, generator
 from simulator.render.radiance import render_frame
+from simulator.ripple import rippled
 from simulator.world import Range, light_at
 
 WAITING_FRAMES = 2  # rendered frames that may wait for noise and file: bounds the memory
@@ -53,7 +54,7 @@ def fly_camera(world: Range, place: CampaignFolder, progress: Report) -> None:
             pose = camera_maths.frame_pose(sortie.motion, rig.true_camera(config), time, half_span)
             radiance = _radiance(world, pose, strip, index, time)
             image = f"sorties/{sortie.number:02d}/images/{name}.tif"
-            marks += record_truth.marks_in(config.camera, world.scene, pose, image)
+            marks += record_truth.marks_in(config.camera, world.scene, pose, image, config.faults)
             tags = _tags(world, estimated, time + config.faults.camera_clock_s, exposing.exposure_time_s)
             noise = generator(config.seed, Stream.CAMERA_NOISE, sortie.number, strip.number, index)
             while len(waiting) >= WAITING_FRAMES:
@@ -123,6 +124,7 @@ def _develop(
     path: Path,
     tags: images.ImageTags,
 ) -> None:
+    radiance = rippled(radiance, config.faults)
     dn = sensor.expose(radiance, config.camera, exposing, config.faults.camera_gain, noise, fixed_pattern)
     images.write_image(path.with_suffix(".tif"), dn, tags)
     images.write_preview(path.with_suffix(".jpg"), sensor.preview(dn, config.camera), tags)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from campaign.config import Config, Lidar
+from campaign.config import Config, Faults, Lidar
 from campaign.errors import ConfigError
 from campaign.las import Returns
 from campaign.threads import thread_count
@@ -98,6 +98,14 @@ def optics_from(lidar: Lidar, visibility_km: float) -> "Optics":
 def backscatter(scene: Scene, wavelength_nm: float) -> np.ndarray:
     """(materials,) pi times each BRDF towards the source, where a LiDAR always looks: rho (1 + opposition gain)."""
     return np.array([float(reflectance_at(m, wavelength_nm)) * (1.0 + m.opposition_gain) for m in scene.materials])
+
+
+def measured_range_m(range_m: np.ndarray, faults: Faults) -> np.ndarray:
+    """What a LiDAR with the faults of range shows for ranges (n,): offset, scale and table add up. [m]"""
+    out = range_m * (1.0 + faults.range_scale) + faults.range_offset_m
+    if faults.range_table:
+        out += np.interp(range_m, *np.array(sorted(faults.range_table)).T)
+    return out
 
 
 def simulate_strip(
@@ -283,7 +291,7 @@ class _PostProcessing:
             return None
         per_pulse = valid.sum(axis=1)
         position = found.position[pulse, echo]
-        measured = device_range[pulse, echo] * (1.0 + faults.range_scale) + faults.range_offset_m
+        measured = measured_range_m(device_range[pulse, echo], faults)
         amplitude = found.amplitude_dn[pulse, echo]
 
         stamped = shots.time_s + faults.lidar_clock_s

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from campaign import truth as files
-from campaign.config import Camera, Config, Vector3
+from campaign.config import Camera, Config, Faults, Vector3
 from campaign.errors import ConfigError
 from campaign.load import dump_toml
 from scenes.model import Scene, Target
@@ -16,12 +16,17 @@ from simulator.faults import true_lens
 from simulator.frames import SiteFrame
 from simulator.motion import Motion
 from simulator.navigation import trajectory_of
+from simulator.ripple import ripple_px
 
 
-def marks_in(camera: Camera, scene: Scene, pose: camera_maths.FramePose, image: str) -> list[files.TrueMark]:
+def marks_in(
+    camera: Camera, scene: Scene, pose: camera_maths.FramePose, image: str, faults: Faults | None = None
+) -> list[files.TrueMark]:
     """True pixel of every target's mark (panel: centre of its top) in one image; `image` is its path in the folder."""
     targets = scene.targets
     pixel, depth = camera_maths.project(camera, pose, np.stack([target.mark_m for target in targets]))
+    if faults is not None and faults.image_ripple_px:
+        pixel = pixel + ripple_px(faults, pixel)
     inside = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < [camera.width_px, camera.height_px]).all(axis=1)
     return [
         files.TrueMark(target=t.id, image=image, u_px=float(uv[0]), v_px=float(uv[1]), visible=bool(seen))

@@ -15,7 +15,7 @@ from campaign.progress import Report, silent
 from campaign.threads import one_blas_thread
 from scenes.model import Scene
 from simulator import paperwork, record_truth, rig
-from simulator.faults import with_true_lens
+from simulator.faults import with_panel_gains, with_true_lens
 from simulator.flight import SETTLE_S, Sortie
 from simulator.frames import SiteFrame
 from simulator.motion import Motion
@@ -134,7 +134,8 @@ def _write_survey(world: Range, place: CampaignFolder) -> None:
     survey.write_targets(place.targets, targets, site.projection_epsg, site.height_epsg)
     survey.write_gcp_list(place.gcp_list, targets, site.projection_epsg)
     if any(target.kind == "panel" for target in world.scene.targets):
-        survey.write_spectra(place.spectra, paperwork.measured_spectra(world.config, world.scene))
+        as_read = with_panel_gains(world.config, world.scene, -1.0)
+        survey.write_spectra(place.spectra, paperwork.measured_spectra(world.config, as_read))
 
 
 def _write_sensors(config: Config, place: CampaignFolder) -> None:

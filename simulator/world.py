@@ -6,12 +6,13 @@ from campaign.config import Config
 from scenes.build import build_scene
 from scenes.model import Scene, SunSky
 from scenes.sunsky import sun_sky
-from simulator.faults import require_targets, with_true_lens
+from simulator.faults import require_targets, with_panel_gains, with_true_lens
 from simulator.flight import Sortie, fly
 from simulator.frames import SiteFrame
 from simulator.motion import Motion
 from simulator.navigation import estimate_motion
 from simulator.render.scene import RenderScene, load_scene
+from simulator.ripple import require_no_fold
 from simulator.times import utc_from_gps_time
 
 
@@ -35,6 +36,8 @@ def prepare_range(config: Config) -> Range:
     fixed = config.model_copy(update={"seed": config.seed if config.scene_seed is None else config.scene_seed})
     scene = build_scene(fixed)
     require_targets(config, tuple(target.id for target in scene.targets))
+    scene = with_panel_gains(config, scene)
+    require_no_fold(config)
     sorties = fly(fixed, scene.layout)
     return Range(
         config=with_true_lens(config),

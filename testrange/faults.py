@@ -21,7 +21,14 @@ from campaign.progress import Report
 from evaluator.diagnosis import family_limit
 
 # Which faults reach which part. What is not named here (survey, trajectory, sheets) is written anew for every case.
-_LENS = ("principal_distance_px", "principal_point_px", "k1", "camera_gain")
+_LENS = (
+    "principal_distance_px",
+    "principal_point_px",
+    "k1",
+    "camera_gain",
+    "image_ripple_px",
+    "image_ripple_period_px",
+)
 _REACHES: dict[Part, tuple[str, ...]] = {
     "camera": ("camera_boresight_deg", "camera_lever_arm_m", "camera_clock_s", *_LENS),
     "lidar": (
@@ -30,10 +37,12 @@ _REACHES: dict[Part, tuple[str, ...]] = {
         "lidar_clock_s",
         "range_offset_m",
         "range_scale",
+        "range_table",
+        "panel_laser_gain",
         "lidar_gain",
     ),
-    "bench": _LENS,
-    "ranging": ("range_offset_m", "range_scale", "lidar_gain"),
+    "bench": (*_LENS, "stability_gains", "repeatability_gains"),
+    "ranging": ("range_offset_m", "range_scale", "range_table", "lidar_gain"),
 }
 
 

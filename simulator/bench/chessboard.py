@@ -16,6 +16,7 @@ at each distance, as a person would, so that the brightest white of its pictures
 
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ import numpy as np
 from campaign import images
 from campaign.atomic import complete_file
 from campaign.bench import BoardExposure, BoardSheet, write_board, write_board_log
-from campaign.config import Camera, Config, Lens
+from campaign.config import Camera, Config, Faults, Lens
 from campaign.folder import CampaignFolder
 from campaign.progress import Report
 from scenes.chessboard import LAMP_CAMERA_M, Board, board_of, board_scene, lamp_intensity
@@ -36,10 +37,12 @@ from simulator.bench.placements import (
     plan_placements,
     project_board,
 )
+from simulator.kept import kept_array
 from simulator.randomness import Stream, generator
 from simulator.render.board import BoardView, render_board
 from simulator.render.sampling import frame_words
 from simulator.render.scene import load_scene
+from simulator.ripple import ripple_px, rippled
 
 INTERVAL_S = 20.0  # between pictures
 WALL_BEHIND_M = 1.5  # the wall stands this far behind the farthest position
@@ -92,7 +95,11 @@ def simulate_chessboard(
         for k, placement in enumerate(plan):
             view = board_view(config, camera, placement)
             words = frame_words(config.seed, int(Stream.CHESSBOARD), (_SAMPLES, k))
-            grey = render_board(scene, board, view, settings.samples, words)
+            grey = kept_array(
+                config.render.cache,
+                (version("testrange"), "chessboard", view, board, settings, words),
+                lambda: render_board(scene, board, view, settings.samples, words),  # noqa: B023 - called at once
+            )
             name, time = f"b_{k + 1:03d}.tif", start_gps_s + INTERVAL_S * k
             used = exposing[placement.distance_m]
             noise = generator(config.seed, Stream.CHESSBOARD, _NOISE, k)
@@ -116,7 +123,7 @@ def simulate_chessboard(
         for future in waiting:
             future.result()
     write_board_log(place.chessboard / "log.csv", rows)
-    _write_corners(place, lens, board, plan, [row.image for row in rows])
+    _write_corners(place, config.faults, lens, board, plan, [row.image for row in rows])
     return lens, bench_focus_m(config)
 
 
@@ -166,6 +173,7 @@ def _develop(
     path: Path,
     tags: images.ImageTags,
 ) -> None:
+    grey = rippled(grey, config.faults)
     light = np.broadcast_to(grey[:, :, None], (*grey.shape, len(camera.bands)))
     dn = sensor.expose(light, camera, exposing, config.faults.camera_gain, noise, pattern)
     images.write_image(path, dn, tags)
@@ -195,13 +203,14 @@ def _tags(config: Config, camera: Camera, gps_time_s: float, exposure_time_s: fl
 
 
 def _write_corners(
-    place: CampaignFolder, lens: Lens, board: Board, plan: tuple[Placement, ...], names: list[str]
+    place: CampaignFolder, faults: Faults, lens: Lens, board: Board, plan: tuple[Placement, ...], names: list[str]
 ) -> None:
+    pixel = np.stack([project_board(lens, p, board.corners_m()) for p in plan])
     arrays = {
         "image": np.array([f"bench/chessboard/{name}" for name in names]),
         "distance_m": np.array([p.distance_m for p in plan]),
         "corner": board.corner_index(),
-        "corner_px": np.stack([project_board(lens, p, board.corners_m()) for p in plan]),
+        "corner_px": pixel + ripple_px(faults, pixel),
         "rotation": np.stack([p.rotation for p in plan]),
         "translation_m": np.stack([p.translation_m for p in plan]),
     }

@@ -60,6 +60,23 @@ def lamp_output(sphere: Sphere, since_on_s: np.ndarray) -> np.ndarray:
     return np.maximum(1 - warm_up + sphere.drift_percent_per_h / 100 / 3600 * t, 0)
 
 
+def response(config: Config, key: int) -> np.ndarray:
+    """The camera's relative response in each image of one series, (images,): ones without `faults`' gains.
+
+    Raises
+    ------
+    ConfigError
+        As many gains as images are needed.
+    """
+    name = "stability_gains" if key == STABILITY else "repeatability_gains"
+    gains, count = getattr(config.faults, name), config.bench.sphere.images
+    if gains and len(gains) != count:
+        raise ConfigError(
+            "one gain for each image", where=f"faults.{name}", got=len(gains), expected=f"{count} (bench.sphere.images)"
+        )
+    return np.array(gains) if gains else np.ones(count)
+
+
 def drift_percent_per_h(since_on_s: np.ndarray, output: np.ndarray) -> float:
     """Slope of the straight line through the lamp's output by least squares, relative to its mean. [% per hour]"""
     t, output = np.asarray(since_on_s, float), np.asarray(output, float)
@@ -191,6 +208,7 @@ def _take_series(bench: _Bench, key: int, folder: Path, times_s: np.ndarray, pro
     folder.mkdir(parents=True)
     flicker = generator(config.seed, Stream.SPHERE, key).standard_normal(len(times_s))
     output = lamp_output(config.bench.sphere, times_s) * (1 + config.bench.sphere.noise_percent / 100 * flicker)
+    output *= response(config, key)
     digits = max(3, len(str(len(times_s))))
     names = [f"s_{k:0{digits}d}" for k in range(1, len(times_s) + 1)]
     before, total = key * len(times_s), 2 * len(times_s)

@@ -1,0 +1,81 @@
+"""A wavy displacement of the picture on the sensor: film that is not flat, a sensor warped by heat. No lens model holds it.
+
+The picture is rendered with the true lens and then displaced, before the sensor's noise: pictures that differ in it share a
+render. Radiance is carried along unchanged; the displacement's own magnification (2 pi amplitude / period) is left out.
+"""
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from campaign.config import Config, Faults
+from campaign.errors import ConfigError
+
+# Directions of the two waves in the picture and their phases, in radians: along neither its rows nor its columns.
+_ALONG_U, _PHASE_U = 0.62, 0.9
+_ALONG_V, _PHASE_V = 2.05, 2.3
+_STEEPEST = 0.5  # displacement's greatest slope: beyond, the picture nearly folds
+_ITERATIONS = 40
+
+
+def ripple_px(faults: Faults, uv_px: np.ndarray) -> np.ndarray:
+    r"""Displacement of what the lens would show at a pixel.
+
+    .. math:: \Delta u = a \sin(2\pi\, e_u \cdot x / T + \varphi_u), \quad \Delta v = a \sin(2\pi\, e_v \cdot x / T + \varphi_v)
+
+    Parameters
+    ----------
+    uv_px : (..., 2) np.ndarray
+        By the lens alone. [px]
+
+    Returns
+    -------
+    (..., 2) np.ndarray
+        Its root mean square length over the picture is a. [px]
+    """
+    turns = 2.0 * np.pi / faults.image_ripple_period_px
+    u, v = uv_px[..., 0], uv_px[..., 1]
+    waves = [
+        np.sin(turns * (np.cos(along) * u + np.sin(along) * v) + phase)
+        for along, phase in ((_ALONG_U, _PHASE_U), (_ALONG_V, _PHASE_V))
+    ]
+    return faults.image_ripple_px * np.stack(waves, axis=-1)
+
+
+def require_no_fold(config: Config) -> None:
+    """The displacement leaves a picture.
+
+    Raises
+    ------
+    ConfigError
+        An amplitude too great for its period.
+    """
+    faults = config.faults
+    slope = 2.0 * np.pi * faults.image_ripple_px / faults.image_ripple_period_px
+    if slope > _STEEPEST:
+        raise ConfigError(
+            "the ripple folds the picture",
+            where="faults.image_ripple_px",
+            got=f"{faults.image_ripple_px:g} px over {faults.image_ripple_period_px:g} px",
+            expected=f"at most {_STEEPEST * faults.image_ripple_period_px / (2.0 * np.pi):.3g} px",
+        )
+
+
+def rippled(picture: np.ndarray, faults: Faults) -> np.ndarray:
+    """A picture (h, w) or (h, w, bands) as displaced; itself where there is no ripple."""
+    if faults.image_ripple_px == 0.0:
+        return picture
+    height, width = picture.shape[:2]
+    seen = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+    source = seen.copy()
+    for _ in range(_ITERATIONS):  # source + ripple(source) = seen; the slope is at most a half
+        step = seen - ripple_px(faults, source) - source
+        source += step
+        if np.abs(step).max() < 1e-6:
+            break
+    at = np.stack([source[..., 1] - 0.5, source[..., 0] - 0.5])
+    planes = picture[..., None] if picture.ndim == 2 else picture
+    out = np.stack(
+        [map_coordinates(planes[..., b], at, order=3, mode="nearest") for b in range(planes.shape[2])], axis=-1
+    ).astype(picture.dtype)
+    np.maximum(out, 0.0, out=out)
+    return out[..., 0] if picture.ndim == 2 else out
