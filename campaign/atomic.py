@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from campaign.errors import CampaignError
+from campaign.errors import CampaignError, WriteError
 
 # What marks a folder as one that this project wrote, and that `replace` may therefore delete.
 _OWN_MARKS = (
@@ -39,14 +39,14 @@ def complete_folder(target: Path, replace: bool = False) -> Iterator[Path]:
         The target is occupied, or the disk is full or not writable.
     """
     target = Path(os.path.abspath(target))
-    _check_target(target, replace)
+    check_target(target, replace)
     with readable_os_errors(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
         work.chmod(0o777 & ~_umask())
         try:
             yield work
-            _put(work, target, replace)
+            put_in_place(work, target, replace)
         except BaseException:
             shutil.rmtree(work, ignore_errors=True)
             raise
@@ -75,7 +75,7 @@ def readable_os_errors(target: Path) -> Iterator[None]:
         yield
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            raise CampaignError(
+            raise WriteError(
                 "no space left on the disk while writing",
                 where=str(target),
                 remedy="free some space or choose another place",
@@ -89,11 +89,12 @@ def readable_os_errors(target: Path) -> Iterator[None]:
             errno.ENAMETOOLONG,
             errno.EISDIR,
         ):
-            raise CampaignError("cannot be written", where=str(target), got=error.strerror) from None
+            raise WriteError("cannot be written", where=str(target), got=error.strerror) from None
         raise
 
 
-def _check_target(target: Path, replace: bool) -> None:
+def check_target(target: Path, replace: bool) -> None:
+    """Refuse a target that is occupied, or that `replace` must not delete."""
     if not target.exists() and not target.is_symlink():
         return
     if target.is_symlink() or not target.is_dir():
@@ -114,8 +115,9 @@ def _check_target(target: Path, replace: bool) -> None:
         )
 
 
-def _put(work: Path, target: Path, replace: bool) -> None:
-    _check_target(target, replace)
+def put_in_place(work: Path, target: Path, replace: bool) -> None:
+    """Rename `work` to `target`; what stood there is deleted after."""
+    check_target(target, replace)
     if not target.exists():
         work.rename(target)
         return

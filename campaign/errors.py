@@ -51,3 +51,7 @@ class ConfigError(TestrangeError):
 
 class CampaignError(TestrangeError):
     """A campaign folder, or one of its files, is missing something or is not what it says."""
+
+
+class WriteError(CampaignError):
+    """The disk is full or does not let us write: nothing is wrong with the input, and the same command may succeed later."""

@@ -21,6 +21,7 @@ from campaign.progress import Report
 from simulator import camera as camera_maths
 from simulator import record_truth, rig, sensor
 from simulator.frames import rpy_from_rotation
+from simulator.journal import Journal
 from simulator.motion import Motion, Strip
 from simulator.randomness import Stream, generator
 from simulator.render.radiance import render_frame
@@ -30,7 +31,7 @@ from simulator.world import Range, light_at
 WAITING_FRAMES = 2  # rendered frames that may wait for noise and file: bounds the memory
 
 
-def fly_camera(world: Range, place: CampaignFolder, progress: Report) -> None:
+def fly_camera(world: Range, place: CampaignFolder, progress: Report, journal: Journal) -> None:
     """Images, previews and exposures.csv of every sortie, and truth/marks.csv."""
     config = world.config
     exposing = sensor.exposure_gain(config.camera, light_at(world, world.sorties[0].strips[0].start_s))
@@ -42,7 +43,7 @@ def fly_camera(world: Range, place: CampaignFolder, progress: Report) -> None:
         for index, time in enumerate(strip.exposure_s)
     ]
     for sortie in world.sorties:
-        place.sortie(sortie.number).images.mkdir(parents=True)
+        place.sortie(sortie.number).images.mkdir(parents=True, exist_ok=True)
     progress("camera", 0, len(frames))
     marks: list[truth_files.TrueMark] = []
     waiting: deque[Future[None]] = deque()
@@ -52,19 +53,26 @@ def fly_camera(world: Range, place: CampaignFolder, progress: Report) -> None:
             name = f"s{sortie.number:02d}_l{strip.number:02d}_{index + 1:03d}"
             half_span = max(1e-3, 0.5 * config.camera.readout_time_s)
             pose = camera_maths.frame_pose(sortie.motion, rig.true_camera(config), time, half_span)
-            radiance = _radiance(world, pose, strip, index, time)
             image = f"sorties/{sortie.number:02d}/images/{name}.tif"
             marks += record_truth.marks_in(config.camera, world.scene, pose, image, config.faults)
+            if not journal.wants(image):
+                progress("camera", done, len(frames))
+                continue
+            radiance = _radiance(world, pose, strip, index, time)
             tags = _tags(world, estimated, time + config.faults.camera_clock_s, exposing.exposure_time_s)
             noise = generator(config.seed, Stream.CAMERA_NOISE, sortie.number, strip.number, index)
             while len(waiting) >= WAITING_FRAMES:
                 waiting.popleft().result()
             waiting.append(
-                writer.submit(_develop, config, exposing, fixed_pattern, radiance, noise, folder.images / name, tags)
+                writer.submit(
+                    _develop, config, exposing, fixed_pattern, radiance, noise, folder.images / name, tags, image, journal
+                )
             )
             progress("camera", done, len(frames))
         for future in waiting:
             future.result()
+    if journal.shares:
+        return
     for sortie in world.sorties:
         records.write_exposures(
             place.sortie(sortie.number).exposures,
@@ -123,11 +131,14 @@ def _develop(
     noise: np.random.Generator,
     path: Path,
     tags: images.ImageTags,
+    unit: str,
+    journal: Journal,
 ) -> None:
     radiance = rippled(radiance, config.faults)
     dn = sensor.expose(radiance, config.camera, exposing, config.faults.camera_gain, noise, fixed_pattern)
     images.write_image(path.with_suffix(".tif"), dn, tags)
     images.write_preview(path.with_suffix(".jpg"), sensor.preview(dn, config.camera), tags)
+    journal.finish(unit, [path.with_suffix(".tif"), path.with_suffix(".jpg")])
 
 
 def _tags(world: Range, estimated: Motion, stamped_s: float, exposure_time_s: float) -> images.ImageTags:

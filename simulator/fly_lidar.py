@@ -9,11 +9,12 @@ from campaign import truth as truth_files
 from campaign.folder import CampaignFolder
 from campaign.progress import Report
 from simulator import record_truth, rig
+from simulator.journal import Journal
 from simulator.lidar import simulate_strip
 from simulator.world import Range
 
 
-def fly_lidar(world: Range, place: CampaignFolder, progress: Report) -> None:
+def fly_lidar(world: Range, place: CampaignFolder, progress: Report, journal: Journal) -> None:
     """Point clouds and waveforms of every strip, and truth/returns_SS_LL.npz."""
     config = world.config
     site = config.site
@@ -25,9 +26,13 @@ def fly_lidar(world: Range, place: CampaignFolder, progress: Report) -> None:
     ]
     place.truth.mkdir(exist_ok=True)
     for sortie in world.sorties:
-        place.sortie(sortie.number).lidar.mkdir(parents=True)
+        place.sortie(sortie.number).lidar.mkdir(parents=True, exist_ok=True)
     progress("lidar", 0, len(strips))
     for done, (sortie, estimated, strip) in enumerate(strips, start=1):
+        unit = f"strip {sortie.number:02d} {strip.number:02d}"
+        if not journal.wants(unit):
+            progress("lidar", done, len(strips))
+            continue
         folder = place.sortie(sortie.number)
         spec = las.LasSpec(
             projection_epsg=site.projection_epsg,
@@ -63,7 +68,10 @@ def fly_lidar(world: Range, place: CampaignFolder, progress: Report) -> None:
                 known.append(chunk.truth)
             if waiting is not None:
                 waiting.result()
-        truth_files.write_true_returns(
-            place.truth / f"returns_{sortie.number:02d}_{strip.number:02d}.npz", record_truth.joined(known)
+        true_returns = place.truth / f"returns_{sortie.number:02d}_{strip.number:02d}.npz"
+        truth_files.write_true_returns(true_returns, record_truth.joined(known))
+        las_file = folder.strip_las(strip.number)
+        journal.finish(
+            unit, [las_file, las_file.with_suffix(".wdp"), folder.strip_points(strip.number), true_returns]
         )
         progress("lidar", done, len(strips))

@@ -31,6 +31,7 @@ from campaign.threads import one_blas_thread
 from campaign.truth import TrueRanging
 from scenes.model import Scene
 from scenes.ranging_line import RangingScene, build_line, turned
+from simulator.journal import Journal
 from simulator.lidar import backscatter, observe, optics_from
 from simulator.motion import Motion, SensorMounting, Strip
 from simulator.radar_equation import unambiguous_range_m
@@ -129,7 +130,9 @@ def prepare_line(config: Config) -> Line:
 
 
 @one_blas_thread()
-def simulate_ranging(config: Config, place: CampaignFolder, start_gps_s: float, progress: Report) -> None:
+def simulate_ranging(
+    config: Config, place: CampaignFolder, start_gps_s: float, progress: Report, journal: Journal | None = None
+) -> None:
     """Write ranging/ of a campaign folder: line.json, total_station.csv, one point cloud for each scan.
 
     Raises
@@ -139,17 +142,22 @@ def simulate_ranging(config: Config, place: CampaignFolder, start_gps_s: float, 
     """
     from simulator.render.scene import load_scene
 
-    line = prepare_line(config)
+    line, journal = prepare_line(config), journal or Journal()
     scans = config.ranging.scans
     progress("ranging", 0, scans)
     scan_path(place, 1).parent.mkdir(parents=True, exist_ok=True)
-    sheet, readings = survey_line(line, config)
-    write_line(line_path(place), sheet)
-    write_readings(readings_path(place), readings)
+    if not journal.shares:
+        sheet, readings = survey_line(line, config)
+        write_line(line_path(place), sheet)
+        write_readings(readings_path(place), readings)
     render_scene = load_scene(line.scene)
     date = utc_from_gps_time(start_gps_s).astimezone(BEIJING).date().isoformat()
     duration_s = (line.turn_deg[1] - line.turn_deg[0]) / config.ranging.turn_rate_deg_s
     for number in range(1, scans + 1):
+        unit = f"scan {number}"
+        if not journal.wants(unit):
+            progress("ranging", number, scans)
+            continue
         start_s = start_gps_s + (number - 1) * (duration_s + PAUSE_S)
         points = joined(list(scan(line, render_scene, number, start_s)))
         write_scan(
@@ -159,6 +167,7 @@ def simulate_ranging(config: Config, place: CampaignFolder, start_gps_s: float, 
             creation_date=date,
             system_identifier=config.lidar.name[:32],
         )
+        journal.finish(unit, [scan_path(place, number)])
         progress("ranging", number, scans)
 
 

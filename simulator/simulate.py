@@ -18,6 +18,7 @@ from simulator import paperwork, record_truth, rig
 from simulator.faults import with_panel_gains, with_true_lens
 from simulator.flight import SETTLE_S, Sortie
 from simulator.frames import SiteFrame
+from simulator.journal import Journal
 from simulator.motion import Motion
 from simulator.navigation import trajectory_of
 from simulator.times import BEIJING, gps_time_from_iso, gps_week, utc_from_gps_time
@@ -31,17 +32,26 @@ SPHERE_BEFORE_S, CHESSBOARD_BEFORE_S, RANGING_BEFORE_S = 86_400.0, 72_000.0, 64_
 
 
 @one_blas_thread()
-def simulate_campaign(config: Config, out: Path, progress: Report = silent, only: frozenset[str] | None = None) -> None:
-    """Write a complete campaign folder into the existing, empty folder `out` (the caller makes it appear or not at all).
+def simulate_campaign(
+    config: Config,
+    out: Path,
+    progress: Report = silent,
+    only: frozenset[str] | None = None,
+    journal: Journal | None = None,
+) -> None:
+    """Write a complete campaign folder into the existing folder `out`, empty but for what `journal` knows as finished (the caller
+    makes it appear or not at all).
 
     Parameters
     ----------
     only : frozenset of str, optional
         Of "camera", "lidar" (what flies), "bench", "ranging"; `campaign.parts` of the configuration when absent. A flight
         without any sensor still leaves its trajectory and survey.
+    journal : Journal, optional
+        What it says is finished is not made again. One that shares makes its units and leaves the rest to another process.
     """
     parts = frozenset(config.campaign.parts) if only is None else only
-    place = CampaignFolder(out)
+    place, journal = CampaignFolder(out), journal or Journal()
     start_s = gps_time_from_iso(config.campaign.start_time)
     flies = bool(parts & {"camera", "lidar"}) or not parts & {"bench", "ranging"}
     progress("scene", 0, 1)
@@ -49,18 +59,21 @@ def simulate_campaign(config: Config, out: Path, progress: Report = silent, only
     _refuse_early(optics, parts)
     world = prepare_range(config) if flies else None
     progress("scene", 1, 1)
-    _write_sensors(config, place)
-    bench = _simulate_bench(optics, place, start_s, progress) if "bench" in parts else None
+    if not journal.shares:
+        _write_sensors(config, place)
+    bench = _simulate_bench(optics, place, start_s, progress, journal) if "bench" in parts else None
     ranging = None
     if "ranging" in parts:
         from simulator.ranging import simulate_ranging, true_ranging
 
-        simulate_ranging(config, place, start_s - RANGING_BEFORE_S, progress)
+        simulate_ranging(config, place, start_s - RANGING_BEFORE_S, progress, journal)
         ranging = true_ranging(config)
     scene: Scene | None = None
     motions: dict[int, Motion] = {}
     if world is not None:
-        scene, motions = _fly(world, place, parts, progress)
+        scene, motions = _fly(world, place, parts, progress, journal)
+    if journal.shares:
+        return
     record_truth.write(config, scene, motions, SiteFrame(config.site), out, bench, ranging)
     _write_manifest(config, start_s, out)
 
@@ -83,11 +96,21 @@ def _refuse_early(config: Config, parts: frozenset[str]) -> None:
         prepare_line(config)
 
 
-def _simulate_bench(config: Config, place: CampaignFolder, start_s: float, progress: Report) -> truth_files.TrueBench:
+def _simulate_bench(
+    config: Config, place: CampaignFolder, start_s: float, progress: Report, journal: Journal
+) -> truth_files.TrueBench:
     """Sphere and chessboard in one room (6.3)."""
     from simulator.bench.chessboard import simulate_chessboard
     from simulator.bench.sphere import simulate_sphere
 
+    if not journal.shares:
+        _write_room(config, place)
+    drift = simulate_sphere(config, place, start_s - SPHERE_BEFORE_S, progress, journal)
+    lens, focus_m = simulate_chessboard(config, place, start_s - CHESSBOARD_BEFORE_S, progress, journal)
+    return truth_files.TrueBench(lens=lens, focus_distance_m=focus_m, drift_percent_per_h=drift)
+
+
+def _write_room(config: Config, place: CampaignFolder) -> None:
     room = config.bench.room
     write_room(
         place.room,
@@ -100,36 +123,39 @@ def _simulate_bench(config: Config, place: CampaignFolder, start_s: float, progr
             sphere_traceability=config.bench.sphere.traceability,
         ),
     )
-    drift = simulate_sphere(config, place, start_s - SPHERE_BEFORE_S, progress)
-    lens, focus_m = simulate_chessboard(config, place, start_s - CHESSBOARD_BEFORE_S, progress)
-    return truth_files.TrueBench(lens=lens, focus_distance_m=focus_m, drift_percent_per_h=drift)
 
 
 def _fly(
-    world: Range, place: CampaignFolder, parts: frozenset[str], progress: Report
+    world: Range, place: CampaignFolder, parts: frozenset[str], progress: Report, journal: Journal
 ) -> tuple[Scene, dict[int, Motion]]:
     """Survey, plan and trajectories, then what the sensors saw."""
     from simulator.fly_camera import fly_camera
     from simulator.fly_lidar import fly_lidar
 
+    if not journal.shares:
+        _write_paperwork(world, place)
+    if "camera" in parts:
+        fly_camera(world, place, progress, journal)
+    if "lidar" in parts:
+        fly_lidar(world, place, progress, journal)
+    return world.scene, {sortie.number: sortie.motion for sortie in world.sorties}
+
+
+def _write_paperwork(world: Range, place: CampaignFolder) -> None:
+    """Survey, plan, trajectories and the air: seconds, so they are written anew each time."""
     config = world.config
     _write_survey(world, place)
     records.write_plan(place.plan, paperwork.flight_plan(config, world.scene, world.sorties, world.frame))
     for sortie, estimated in zip(world.sorties, world.estimated, strict=True):
         folder = place.sortie(sortie.number)
-        folder.root.mkdir(parents=True)
+        folder.root.mkdir(parents=True, exist_ok=True)
         _write_trajectory(world, folder, estimated, sortie)
         records.write_environment(folder.environment, paperwork.environment_rows(config, sortie))
-    if "camera" in parts:
-        fly_camera(world, place, progress)
-    if "lidar" in parts:
-        fly_lidar(world, place, progress)
-    return world.scene, {sortie.number: sortie.motion for sortie in world.sorties}
 
 
 def _write_survey(world: Range, place: CampaignFolder) -> None:
     site = world.config.site
-    place.targets.parent.mkdir(parents=True)
+    place.targets.parent.mkdir(parents=True, exist_ok=True)
     targets = paperwork.surveyed_targets(world.config, world.scene, world.frame)
     survey.write_targets(place.targets, targets, site.projection_epsg, site.height_epsg)
     survey.write_gcp_list(place.gcp_list, targets, site.projection_epsg)
@@ -139,7 +165,7 @@ def _write_survey(world: Range, place: CampaignFolder) -> None:
 
 
 def _write_sensors(config: Config, place: CampaignFolder) -> None:
-    place.camera.parent.mkdir(parents=True)
+    place.camera.parent.mkdir(parents=True, exist_ok=True)
     sensors.write_sheet(place.camera, rig.camera_sheet(config))
     sensors.write_sheet(place.lidar, rig.lidar_sheet(config))
     sensors.write_sheet(place.rig, rig.rig_sheet(config))

@@ -37,6 +37,7 @@ from simulator.bench.placements import (
     plan_placements,
     project_board,
 )
+from simulator.journal import Journal
 from simulator.kept import kept_array
 from simulator.randomness import Stream, generator
 from simulator.render.board import BoardView, render_board
@@ -52,7 +53,7 @@ _NOISE, _SAMPLES = 1, 2  # keys of the stream, after the plan's
 
 
 def simulate_chessboard(
-    config: Config, place: CampaignFolder, start_gps_s: float, progress: Report
+    config: Config, place: CampaignFolder, start_gps_s: float, progress: Report, journal: Journal | None = None
 ) -> tuple[Lens, float]:
     """Write the bench's folder and its truth.
 
@@ -68,11 +69,11 @@ def simulate_chessboard(
     focus_distance_m : float
         Setting of the lens. [m]
     """
-    settings = config.bench.chessboard
+    settings, journal = config.bench.chessboard, journal or Journal()
     board, plan, lens = board_of(settings), plan_placements(config), bench_lens(config)
     camera = config.camera.model_copy(update={"lens": lens, "f_number": bench_f_number(config)})
     exposing = {p.distance_m: _exposing(config, camera, board, plan, p.distance_m) for p in plan}
-    place.chessboard.mkdir(parents=True)
+    place.chessboard.mkdir(parents=True, exist_ok=True)
     place.truth.mkdir(exist_ok=True)
     write_board(
         place.chessboard / "board.json",
@@ -93,6 +94,22 @@ def simulate_chessboard(
     progress("chessboard", 0, len(plan))
     with ThreadPoolExecutor(1) as writer:
         for k, placement in enumerate(plan):
+            name, time = f"b_{k + 1:03d}.tif", start_gps_s + INTERVAL_S * k
+            used = exposing[placement.distance_m]
+            rows.append(
+                BoardExposure(
+                    image=name,
+                    gps_time_s=time,
+                    distance_m=placement.distance_m,
+                    focus_distance_m=bench_focus_m(config),
+                    f_number=camera.f_number,
+                    exposure_time_s=used.exposure_time_s,
+                    gain_e_per_dn=used.e_per_dn,
+                )
+            )
+            if not journal.wants(name):
+                progress("chessboard", k + 1, len(plan))
+                continue
             view = board_view(config, camera, placement)
             words = frame_words(config.seed, int(Stream.CHESSBOARD), (_SAMPLES, k))
             grey = kept_array(
@@ -100,28 +117,17 @@ def simulate_chessboard(
                 (version("testrange"), "chessboard", view, board, settings, words),
                 lambda: render_board(scene, board, view, settings.samples, words),  # noqa: B023 - called at once
             )
-            name, time = f"b_{k + 1:03d}.tif", start_gps_s + INTERVAL_S * k
-            used = exposing[placement.distance_m]
             noise = generator(config.seed, Stream.CHESSBOARD, _NOISE, k)
             while len(waiting) >= WAITING_FRAMES:
                 waiting.popleft().result()
             tags = _tags(config, camera, time, used.exposure_time_s)
             path = place.chessboard / name
-            waiting.append(writer.submit(_develop, config, camera, used, pattern, grey, noise, path, tags))
-            rows.append(
-                BoardExposure(
-                    image=name,
-                    gps_time_s=time,
-                    distance_m=placement.distance_m,
-                    focus_distance_m=view.focus_distance_m,
-                    f_number=camera.f_number,
-                    exposure_time_s=used.exposure_time_s,
-                    gain_e_per_dn=used.e_per_dn,
-                )
-            )
+            waiting.append(writer.submit(_develop, config, camera, used, pattern, grey, noise, path, tags, journal))
             progress("chessboard", k + 1, len(plan))
         for future in waiting:
             future.result()
+    if journal.shares:
+        return lens, bench_focus_m(config)
     write_board_log(place.chessboard / "log.csv", rows)
     _write_corners(place, config.faults, lens, board, plan, [row.image for row in rows])
     return lens, bench_focus_m(config)
@@ -172,12 +178,14 @@ def _develop(
     noise: np.random.Generator,
     path: Path,
     tags: images.ImageTags,
+    journal: Journal,
 ) -> None:
     grey = rippled(grey, config.faults)
     light = np.broadcast_to(grey[:, :, None], (*grey.shape, len(camera.bands)))
     dn = sensor.expose(light, camera, exposing, config.faults.camera_gain, noise, pattern)
     images.write_image(path, dn, tags)
     images.write_preview(path.with_suffix(".jpg"), sensor.preview(dn, camera), tags)
+    journal.finish(path.name, [path, path.with_suffix(".jpg")])
 
 
 def _tags(config: Config, camera: Camera, gps_time_s: float, exposure_time_s: float) -> images.ImageTags:

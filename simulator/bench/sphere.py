@@ -22,6 +22,7 @@ from campaign.threads import one_blas_thread
 from scenes.sphere import build_sphere, lamp_flux_per_nm
 from simulator import sensor
 from simulator.camera import undistort
+from simulator.journal import Journal
 from simulator.randomness import Stream, generator
 from simulator.render.sphere import radiance_per_watt, wall_points
 
@@ -134,7 +135,9 @@ def _spline_matrix(knots: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.asarray(make_interp_spline(knots, np.eye(len(knots)), k=degree)(at))
 
 
-def simulate_sphere(config: Config, place: CampaignFolder, start_gps_s: float, progress: Report) -> float:
+def simulate_sphere(
+    config: Config, place: CampaignFolder, start_gps_s: float, progress: Report, journal: Journal | None = None
+) -> float:
     """Write bench/sphere_stability and bench/sphere_repeatability.
 
     Parameters
@@ -182,7 +185,7 @@ def simulate_sphere(config: Config, place: CampaignFolder, start_gps_s: float, p
         (STABILITY, place.sphere_stability, stability_s),
         (REPEATABILITY, place.sphere_repeatability, repeatability_s),
     ):
-        _take_series(bench, key, folder, times, progress)
+        _take_series(bench, key, folder, times, progress, journal or Journal())
     return drift_percent_per_h(stability_s, lamp_output(sphere, stability_s))
 
 
@@ -202,10 +205,12 @@ class _Bench:
     pattern: sensor.FixedPattern
 
 
-def _take_series(bench: _Bench, key: int, folder: Path, times_s: np.ndarray, progress: Report) -> None:
+def _take_series(
+    bench: _Bench, key: int, folder: Path, times_s: np.ndarray, progress: Report, journal: Journal
+) -> None:
     """Images and log.csv of one series."""
     config = bench.config
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     flicker = generator(config.seed, Stream.SPHERE, key).standard_normal(len(times_s))
     output = lamp_output(config.bench.sphere, times_s) * (1 + config.bench.sphere.noise_percent / 100 * flicker)
     output *= response(config, key)
@@ -215,12 +220,15 @@ def _take_series(bench: _Bench, key: int, folder: Path, times_s: np.ndarray, pro
     # Every image has random numbers of its own: the order in which threads take them does not matter.
     with ThreadPoolExecutor(WRITERS) as writers:
         jobs = [
-            writers.submit(_take, bench, (key, k), folder / name, float(times_s[k]), float(output[k]))
+            writers.submit(_take, bench, (key, k), folder / name, float(times_s[k]), float(output[k]), journal)
             for k, name in enumerate(names)
+            if journal.wants(_unit(key, k))
         ]
         for done, job in enumerate(jobs, start=1):
             job.result()
             progress("sphere", before + done, total)
+    if journal.shares:
+        return
     write_sphere_log(
         folder / "log.csv",
         [
@@ -263,7 +271,13 @@ def sphere_picture(
     return sensor.expose(relative, camera, setting, gain_fault, rng, pattern, window, dark_e_s)
 
 
-def _take(bench: _Bench, key: tuple[int, int], path: Path, since_on_s: float, output: float) -> None:
+def _unit(key: int, k: int) -> str:
+    return f"sphere {key} {k}"
+
+
+def _take(
+    bench: _Bench, key: tuple[int, int], path: Path, since_on_s: float, output: float, journal: Journal
+) -> None:
     """One exposure and its file; a preview beside the first."""
     config, camera = bench.config, bench.config.camera
     temperature_c = sensor_temperature_c(config, since_on_s)
@@ -297,5 +311,8 @@ def _take(bench: _Bench, key: tuple[int, int], path: Path, since_on_s: float, ou
         bands=tuple(band.name for band in camera.bands),
     )
     images.write_image(path.with_suffix(".tif"), dn, tags)
+    files = [path.with_suffix(".tif")]
     if key[1] == 0:
-        images.write_preview(path.with_suffix(".jpg"), sensor.preview(dn, camera), tags)
+        files.append(path.with_suffix(".jpg"))
+        images.write_preview(files[1], sensor.preview(dn, camera), tags)
+    journal.finish(_unit(*key), files)

@@ -1,0 +1,118 @@
+"""Folders that take long to make: written beside the target, kept when the work is interrupted, renamed when it is done.
+
+`complete_folder` of `campaign.atomic` forgets what an interrupted command had made; here it waits for the same command to go on.
+"""
+
+import contextlib
+import hashlib
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from campaign.atomic import check_target, put_in_place, readable_os_errors
+from campaign.errors import CampaignError, WriteError
+
+try:
+    import fcntl
+except ImportError:  # not on every system; there two commands on one target are the user's affair
+    fcntl = None  # type: ignore[assignment]
+
+_KEY, _LOCK, _JOURNAL, _FOLDER = "key", "lock", "journal", "folder"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Work:
+    """A folder in the making."""
+
+    folder: Path  # becomes the target
+    journal: Path  # beside it: what is finished
+    resumed: bool  # an earlier command of the same kind had begun
+
+
+@contextlib.contextmanager
+def resumable_folder(target: Path, task: str, replace: bool = False) -> Iterator[Work]:
+    """Give a folder beside `target` (`.NAME.part/`); rename it when the block ends.
+
+    An interrupt, a killed process, a full disk and too little memory leave it there, and the next call with the same `task` finds
+    what was made; any other failure removes it, and so does a call with another task.
+
+    Parameters
+    ----------
+    task : str
+        All that decides what the folder will hold.
+    replace : bool
+        As in `complete_folder`.
+
+    Raises
+    ------
+    CampaignError
+        The target is occupied, or another process is at work on it.
+    WriteError
+        The disk is full or not writable.
+    """
+    target = Path(os.path.abspath(target))
+    check_target(target, replace)
+    place = target.with_name(f".{target.name}.part")
+    with readable_os_errors(target), _locked(place, target):
+        resumed = _belongs(place, task)
+        work = Work(folder=place / _FOLDER, journal=place / _JOURNAL, resumed=resumed)
+        if resumed:
+            _sweep(work.folder)
+        else:
+            _clear(place)
+            work.folder.mkdir()
+            (place / _KEY).write_text(_digest(task), encoding="ascii")
+        try:
+            yield work
+            put_in_place(work.folder, target, replace)
+        except (KeyboardInterrupt, MemoryError, OSError, WriteError):
+            raise
+        except BaseException:
+            shutil.rmtree(place, ignore_errors=True)
+            raise
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def _digest(task: str) -> str:
+    return hashlib.sha256(task.encode()).hexdigest()
+
+
+def _belongs(place: Path, task: str) -> bool:
+    key = place / _KEY
+    return key.is_file() and (place / _FOLDER).is_dir() and key.read_bytes()[:64] == _digest(task).encode()
+
+
+def _clear(place: Path) -> None:
+    """Everything but the lock, which is held."""
+    for path in place.iterdir():
+        if path.name == _LOCK:
+            continue
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+
+
+def _sweep(folder: Path) -> None:
+    """Files that were being written when the work stopped (see `complete_file`)."""
+    for path in folder.rglob(".*.part*"):
+        if path.is_file() and not path.is_symlink():
+            path.unlink()
+
+
+@contextlib.contextmanager
+def _locked(place: Path, target: Path) -> Iterator[None]:
+    if place.is_symlink() or (place.exists() and not place.is_dir()):
+        raise CampaignError("is in the way", where=str(place), remedy="remove it, or choose another place")
+    place.mkdir(parents=True, exist_ok=True)
+    with (place / _LOCK).open("ab") as lock:
+        if fcntl is not None:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise CampaignError(
+                    "another testrange is at work on it", where=str(target), remedy="wait for it, or choose another place"
+                ) from None
+        yield
