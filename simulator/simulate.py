@@ -45,15 +45,16 @@ def simulate_campaign(
     Parameters
     ----------
     only : frozenset of str, optional
-        Of "camera", "lidar" (what flies), "bench", "ranging"; `campaign.parts` of the configuration when absent. A flight
-        without any sensor still leaves its trajectory and survey.
+        Of "camera", "lidar" (what flies), "bench" or one of it, "sphere", "chessboard", "ranging"; `campaign.parts` of the
+        configuration when absent. A flight without any sensor still leaves its trajectory and survey.
     journal : Journal, optional
         What it says is finished is not made again. One that shares makes its units and leaves the rest to another process.
     """
     parts = frozenset(config.campaign.parts) if only is None else only
+    parts |= {"sphere", "chessboard"} if "bench" in parts else frozenset()
     place, journal = CampaignFolder(out), journal or Journal()
     start_s = gps_time_from_iso(config.campaign.start_time)
-    flies = bool(parts & {"camera", "lidar"}) or not parts & {"bench", "ranging"}
+    flies = bool(parts & {"camera", "lidar"}) or not parts & {"sphere", "chessboard", "ranging"}
     progress("scene", 0, 1)
     optics = with_true_lens(config)  # sheets, plan and truth/campaign.toml state the configured lens
     _refuse_early(optics, parts)
@@ -61,7 +62,9 @@ def simulate_campaign(
     progress("scene", 1, 1)
     if not journal.shares:
         _write_sensors(config, place)
-    bench = _simulate_bench(optics, place, start_s, progress, journal) if "bench" in parts else None
+    bench = None
+    if parts & {"sphere", "chessboard"}:
+        bench = _simulate_bench(optics, place, start_s, progress, journal, parts)
     ranging = None
     if "ranging" in parts:
         from simulator.ranging import simulate_ranging, true_ranging
@@ -86,7 +89,7 @@ def _refuse_early(config: Config, parts: frozenset[str]) -> None:
     ConfigError
         A board that does not fit the field, a line that the LiDAR cannot measure.
     """
-    if "bench" in parts:
+    if "chessboard" in parts:
         from simulator.bench.placements import plan_placements
 
         plan_placements(config)
@@ -97,16 +100,20 @@ def _refuse_early(config: Config, parts: frozenset[str]) -> None:
 
 
 def _simulate_bench(
-    config: Config, place: CampaignFolder, start_s: float, progress: Report, journal: Journal
+    config: Config, place: CampaignFolder, start_s: float, progress: Report, journal: Journal, parts: frozenset[str]
 ) -> truth_files.TrueBench:
-    """Sphere and chessboard in one room (6.3)."""
-    from simulator.bench.chessboard import simulate_chessboard
-    from simulator.bench.sphere import simulate_sphere
-
+    """Sphere and chessboard, or one of them, in one room (6.3)."""
     if not journal.shares:
         _write_room(config, place)
-    drift = simulate_sphere(config, place, start_s - SPHERE_BEFORE_S, progress, journal)
-    lens, focus_m = simulate_chessboard(config, place, start_s - CHESSBOARD_BEFORE_S, progress, journal)
+    drift, lens, focus_m = None, None, None
+    if "sphere" in parts:
+        from simulator.bench.sphere import simulate_sphere
+
+        drift = simulate_sphere(config, place, start_s - SPHERE_BEFORE_S, progress, journal)
+    if "chessboard" in parts:
+        from simulator.bench.chessboard import simulate_chessboard
+
+        lens, focus_m = simulate_chessboard(config, place, start_s - CHESSBOARD_BEFORE_S, progress, journal)
     return truth_files.TrueBench(lens=lens, focus_distance_m=focus_m, drift_percent_per_h=drift)
 
 
