@@ -113,6 +113,8 @@ def _locked(place: Path, target: Path) -> Iterator[None]:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise CampaignError(
-                    "another testrange is at work on it", where=str(target), remedy="wait for it, or choose another place"
+                    "another testrange is at work on it",
+                    where=str(target),
+                    remedy="wait for it, or choose another place",
                 ) from None
         yield

@@ -6,6 +6,7 @@ Formulas and files live in the rooms that this calls. Output folders appear comp
 import dataclasses
 import json
 import resource
+import shutil
 import sys
 import time
 from collections.abc import Sequence
@@ -16,11 +17,13 @@ from typing import TYPE_CHECKING
 from campaign.atomic import complete_folder
 from campaign.config import Config, Part
 from campaign.errors import CampaignError, TestrangeError
+from campaign.resume import resumable_folder
 from evaluator.documents.model import Language
 from evaluator.model import EvaluationError
 from evaluator.results import Evaluation, write_results
 from evaluator.score import Score, score_campaign, write_score
 from testrange.progress import ProgressCallback
+from testrange.workers import simulate_units
 
 if TYPE_CHECKING:
     from testrange.export import Format
@@ -114,15 +117,20 @@ def simulate(
     *,
     replace: bool = False,
     only: Part | None = None,
+    workers: int = 1,
 ) -> None:
-    """Writes the campaign folder `out`; `only` simulates one part of it."""
-    from simulator.simulate import simulate_campaign
+    """Writes the campaign folder `out`; `only` simulates one part of it. What an interrupted call had made is not made again."""
+    with resumable_folder(out, _task(config, "simulate", only), replace) as work:
+        simulate_units(
+            config, work.folder, work.journal, progress, None if only is None else frozenset({only}), workers
+        )
 
-    with complete_folder(out, replace) as work:
-        if only is None:
-            simulate_campaign(config, work, progress)
-        else:
-            simulate_campaign(config, work, progress, frozenset({only}))
+
+def _task(config: Config, *more: object) -> str:
+    """All that decides what a simulation writes."""
+    from importlib.metadata import version
+
+    return json.dumps([version("testrange"), config.model_dump_json(exclude={"render": {"cache"}}), *more], default=str)
 
 
 def _refuse_unsound(campaign: Path, keep_going: bool) -> list[str]:
@@ -188,19 +196,20 @@ def run(
     replace: bool = False,
     languages: Sequence[Language] = ("zh",),
     documents: bool = True,
+    workers: int = 1,
 ) -> Run:
-    """Simulates, evaluates, scores and reports into `out`/campaign and `out`/results."""
+    """Simulates, evaluates, scores and reports into `out`/campaign and `out`/results. What an interrupted call had simulated is
+    not simulated again."""
     from evaluator.evaluate import evaluate_campaign
-    from simulator.simulate import simulate_campaign
 
     start = time.monotonic()
-    with complete_folder(out, replace) as work:
-        (work / "campaign").mkdir()
-        simulate_campaign(config, work / "campaign", progress)
-        evaluation = evaluate_campaign(work / "campaign", progress)
-        score = _write_results(
-            work / "results", work / "campaign", evaluation, languages, progress, score=True, documents=documents
-        )
+    with resumable_folder(out, _task(config, "run"), replace) as work:
+        campaign, results = work.folder / "campaign", work.folder / "results"
+        campaign.mkdir(exist_ok=True)
+        shutil.rmtree(results, ignore_errors=True)
+        simulate_units(config, campaign, work.journal, progress, None, workers)
+        evaluation = evaluate_campaign(campaign, progress)
+        score = _write_results(results, campaign, evaluation, languages, progress, score=True, documents=documents)
     return Run(
         evaluation=evaluation,
         score=score,

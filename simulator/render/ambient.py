@@ -19,6 +19,7 @@ from simulator.render import start
 from simulator.render.paths import PAIRS, AmbientTable, Surfaces, gathered, light_from, surfaces
 from simulator.render.sampling import PixelSampler
 from simulator.render.scene import RenderScene
+from simulator.render.upload import uploaded
 
 start()
 
@@ -123,8 +124,8 @@ def _coefficients(
     dr.make_opaque(key, count)
     normal = np.repeat(flat.normal, NODES * NODES, axis=0)
     place = flat.node.reshape(-1, 3) + LIFT_M * normal
-    point = mi.Point3f(*(mi.Float(np.ascontiguousarray(c, np.float32)) for c in place.T))
-    upward = mi.Vector3f(*(mi.Float(np.ascontiguousarray(c, np.float32)) for c in normal.T))
+    point = mi.Point3f(*(uploaded(mi.Float, c.astype(np.float32)) for c in place.T))
+    upward = mi.Vector3f(*(uploaded(mi.Float, c.astype(np.float32)) for c in normal.T))
     sampler = PixelSampler(dr.arange(mi.UInt32, len(place)), key, pairs=2 + PAIRS * (bounces + 1))
 
     def body(sample: Any, *total: Any) -> tuple[Any, ...]:
@@ -180,9 +181,9 @@ def ambient_table(
     inverse = flat.across / (flat.across**2).sum(axis=-1, keepdims=True)
     frame = np.concatenate([flat.origin[:, None], inverse], axis=1)
     table = AmbientTable(
-        facet=mi.Int32(flat.face),
-        frame=mi.Float(frame.astype(np.float32).ravel()),
-        value=mi.Float(value.astype(np.float32).ravel()),
+        facet=uploaded(mi.Int32, flat.face.astype(np.int32)),
+        frame=uploaded(mi.Float, frame.astype(np.float32)),
+        value=uploaded(mi.Float, value.astype(np.float32)),
         nodes=NODES,
     )
     dr.eval(table.facet, table.frame, table.value)

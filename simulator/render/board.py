@@ -27,6 +27,7 @@ from simulator.render import start
 from simulator.render.radiance import TILE, undistort_steps, undistorted
 from simulator.render.sampling import PixelSampler, filter_offset, filter_quantiles
 from simulator.render.scene import RenderScene
+from simulator.render.upload import uploaded
 
 start()
 
@@ -112,7 +113,7 @@ def render_board(
         dr.make_opaque(count, kind_of_all)
         for first in range(0, len(pixels), tile):
             part = pixels[first : first + tile]
-            picture[part] = np.asarray(_sampled(job, mi.UInt32(part), kind_of_all, count))
+            picture[part] = np.asarray(_sampled(job, uploaded(mi.UInt32, part), kind_of_all, count))
     return picture.reshape(view.camera.height_px, view.camera.width_px)
 
 
@@ -136,9 +137,9 @@ def _job(render_scene: RenderScene, board: Board, view: BoardView, words: tuple[
         lamp=mi.Point3f(*map(float, lamp)),
         reflectance=[float(m.reflectance[0]) for m in render_scene.scene.materials],
         key=(mi.UInt32(words[0]), mi.UInt32(words[1])),
-        filter=mi.Float(filter_quantiles(view.camera.psf_sigma_px).astype(np.float32)),
-        chord=mi.Float(chord_quantiles(share).astype(np.float32)),
-        normal=mi.Float(ndtri(tail).astype(np.float32)),
+        filter=uploaded(mi.Float, filter_quantiles(view.camera.psf_sigma_px).astype(np.float32)),
+        chord=uploaded(mi.Float, chord_quantiles(share).astype(np.float32)),
+        normal=uploaded(mi.Float, ndtri(tail).astype(np.float32)),
     )
     dr.make_opaque(job.centre, job.axes, job.lamp, job.key, job.filter, job.chord, job.normal)
     return job

@@ -20,6 +20,7 @@ from simulator.render import start
 from simulator.render.sampling import PixelSampler
 from simulator.render.scene import RenderScene
 from simulator.render.texture import texture_factor
+from simulator.render.upload import uploaded
 
 start()
 
@@ -77,7 +78,7 @@ def surfaces(render_scene: RenderScene, camera: Camera, repeat: int = 1) -> Surf
     ]
     mesh = render_scene.scene.mesh
     ground = mesh.material[mesh.target < 0]
-    table = mi.Float(np.asarray(rows, np.float32).ravel())
+    table = uploaded(mi.Float, np.asarray(rows, np.float32))
     dr.eval(table)
     return Surfaces(
         bands=len(camera.bands) * repeat,

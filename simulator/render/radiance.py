@@ -37,6 +37,7 @@ from simulator.render.paths import (
 from simulator.render.sampling import PixelSampler, filter_offset, filter_quantiles, frame_words
 from simulator.render.scene import RenderScene
 from simulator.render.spread import fold, halo_px
+from simulator.render.upload import uploaded
 
 start()
 
@@ -168,7 +169,7 @@ def _view(camera: Camera, pose: FramePose) -> _View:
         velocity=mi.Vector3f(*map(float, pose.velocity_world_m_s)),
         axes=[mi.Vector3f(*map(float, column)) for column in pose.world_from_camera.T],
         rate=mi.Vector3f(*map(float, pose.angular_rate_camera_rad_s)),
-        filter=mi.Float(filter_quantiles(camera.psf_sigma_px).astype(np.float32)),
+        filter=uploaded(mi.Float, filter_quantiles(camera.psf_sigma_px).astype(np.float32)),
         halo=halo_px(camera.psf_sigma_px),
     )
     dr.make_opaque(view.position, view.velocity, view.axes, view.rate, view.filter)
@@ -264,7 +265,7 @@ def _trace(job: _Job, pixels: np.ndarray, samples: int, split: int, tile: int) -
     for first in range(0, len(pixels), step):
         part = pixels[first : first + step]
         lane = dr.arange(mi.UInt32, len(part) * split**2)
-        pixel = dr.gather(mi.UInt32, mi.UInt32(part), lane // split**2)
+        pixel = dr.gather(mi.UInt32, uploaded(mi.UInt32, part), lane // split**2)
         found = _mean(job, pixel, lane % split**2, split, count)
         mean[first * split**2 : (first + len(part)) * split**2] = np.stack([np.asarray(m) for m in found], axis=-1)
     return mean
@@ -321,7 +322,7 @@ def _sample(job: _Job, pixel: Any, offset: tuple[Any, Any], sampler: PixelSample
 
 def _identity(job: _Job, pixels: np.ndarray) -> np.ndarray:
     """A number for what each pixel's centre sees: owner, part, material, lit or not."""
-    ray = _camera_ray(job.view, mi.UInt32(pixels), (mi.Float(0), mi.Float(0)), mi.Float(0.5))
+    ray = _camera_ray(job.view, uploaded(mi.UInt32, pixels), (mi.Float(0), mi.Float(0)), mi.Float(0.5))
     scene = job.render_scene
     found = scene.mi_scene.ray_intersect_preliminary(ray, coherent=True)
     active = found.is_valid()

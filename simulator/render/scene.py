@@ -7,6 +7,7 @@ import numpy as np
 
 from scenes.model import Scene
 from simulator.render import start
+from simulator.render.upload import uploaded
 
 start()
 
@@ -35,18 +36,18 @@ def load_scene(scene: Scene) -> RenderScene:
     vertices = mesh.vertices_m.astype(np.float32)
     mi_mesh = mi.Mesh("range", len(vertices), len(mesh.faces))
     params = mi.traverse(mi_mesh)
-    params["vertex_positions"] = vertices.ravel()
-    params["faces"] = mesh.faces.astype(np.uint32).ravel()
+    params["vertex_positions"] = uploaded(mi.Float, vertices)
+    params["faces"] = uploaded(mi.UInt32, mesh.faces.astype(np.uint32))
     params.update()
     corner = mesh.vertices_m[mesh.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     tables = RenderScene(
         mi_scene=mi.load_dict({"type": "scene", "range": mi_mesh}),
-        material=mi.UInt32(mesh.material.astype(np.uint32)),
-        target=mi.Int32(mesh.target.astype(np.int32)),
-        part=mi.Int32(mesh.part.astype(np.int32)),
-        normal=mi.Float(normal.astype(np.float32).ravel()),
+        material=uploaded(mi.UInt32, mesh.material.astype(np.uint32)),
+        target=uploaded(mi.Int32, mesh.target.astype(np.int32)),
+        part=uploaded(mi.Int32, mesh.part.astype(np.int32)),
+        normal=uploaded(mi.Float, normal.astype(np.float32)),
         scene=scene,
     )
     dr.eval(tables.material, tables.target, tables.part, tables.normal)

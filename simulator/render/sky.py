@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from simulator.render import start
+from simulator.render.upload import uploaded
 
 start()
 
@@ -80,9 +81,9 @@ def upload(radiance: Callable[[np.ndarray], np.ndarray]) -> SkyTable:
     """`cells` on the renderer's device."""
     row, column, relative = cells(radiance)
     tables = SkyTable(
-        row=mi.Float(row.astype(np.float32)),
-        column=mi.Float(column.astype(np.float32).ravel()),
-        relative=mi.Float(relative.astype(np.float32).ravel()),
+        row=uploaded(mi.Float, row.astype(np.float32)),
+        column=uploaded(mi.Float, column.astype(np.float32)),
+        relative=uploaded(mi.Float, relative.astype(np.float32)),
     )
     dr.eval(tables.row, tables.column, tables.relative)
     return tables

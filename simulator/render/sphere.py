@@ -17,6 +17,7 @@ import numpy as np
 from scenes.sphere import SphereScene
 from simulator.render import start
 from simulator.render.sampling import PixelSampler, frame_words
+from simulator.render.upload import uploaded
 
 start()
 
@@ -135,7 +136,7 @@ def _inside(scene: SphereScene, seed: int) -> _Inside:
 
 
 def _point(xyz: np.ndarray) -> Any:
-    return mi.Point3f(*(mi.Float(np.ascontiguousarray(c)) for c in xyz.T.astype(np.float32)))
+    return mi.Point3f(*(uploaded(mi.Float, c) for c in xyz.T.astype(np.float32)))
 
 
 def _is_baffle(inside: _Inside, found: Any) -> Any:
@@ -264,11 +265,11 @@ def _gather(inside: _Inside, sources: _Sources, place: np.ndarray) -> np.ndarray
     count = len(sources.weight)
     block = mi.UInt32(-(-count // BLOCKS))
     last = mi.UInt32(count)
-    from_point, from_normal = (mi.Float(a.astype(np.float32).ravel()) for a in (sources.point, sources.normal))
+    from_point, from_normal = (uploaded(mi.Float, a.astype(np.float32)) for a in (sources.point, sources.normal))
     from_weight = mi.Float(sources.weight.astype(np.float32))
     dr.make_opaque(block, last)
     lane = dr.arange(mi.UInt32, len(place) * BLOCKS)
-    here = dr.gather(mi.Point3f, mi.Float(place.astype(np.float32).ravel()), lane // BLOCKS)
+    here = dr.gather(mi.Point3f, uploaded(mi.Float, place.astype(np.float32)), lane // BLOCKS)
     facing = -mi.Vector3f(here)
     first = (lane % BLOCKS) * block
     stop = dr.minimum(first + block, last)

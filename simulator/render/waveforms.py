@@ -13,6 +13,7 @@ import numpy as np
 from simulator.footprint import Footprint
 from simulator.radar_equation import SPEED_OF_LIGHT_M_S
 from simulator.render.scene import RenderScene
+from simulator.render.upload import uploaded
 
 import drjit as dr  # isort: skip  (simulator.render.scene has chosen the variant)
 import mitsuba as mi  # isort: skip
@@ -68,10 +69,10 @@ class Tracer:
         """`backscatter`: (materials,) pi times the BRDF towards the source at the laser line."""
         self._scene = scene
         self._optics = optics
-        self._rho = mi.Float(np.ascontiguousarray(backscatter, np.float32))
-        self._u = mi.Float(np.ascontiguousarray(optics.footprint.offset[:, 0], np.float32))
-        self._v = mi.Float(np.ascontiguousarray(optics.footprint.offset[:, 1], np.float32))
-        self._w = mi.Float(np.ascontiguousarray(optics.footprint.weight, np.float32))
+        self._rho = uploaded(mi.Float, backscatter.astype(np.float32))
+        self._u = uploaded(mi.Float, optics.footprint.offset[:, 0].astype(np.float32))
+        self._v = uploaded(mi.Float, optics.footprint.offset[:, 1].astype(np.float32))
+        self._w = uploaded(mi.Float, optics.footprint.weight.astype(np.float32))
         dr.eval(self._rho, self._u, self._v, self._w)
 
     def _beam(self, beams: Beams) -> tuple[Any, Callable[[Any], Any], Any]:
@@ -80,7 +81,7 @@ class Tracer:
         The seven numbers of a pulse are gathered from one array: Dr.Jit maps NumPy memory as it stands and bakes each
         array's alignment, which is chance, into the kernel, so separate arrays would compile anew for most chunks.
         """
-        table = mi.Float(_packed(beams))
+        table = uploaded(mi.Float, _packed(beams))
         lane = dr.arange(mi.UInt32, len(beams.shift_m))
         column = [dr.gather(mi.Float, table, lane * 7 + k) for k in range(7)]
         origin, axis = mi.Point3f(*column[:3]), mi.Vector3f(*column[3:6])

@@ -13,6 +13,7 @@ from testrange.commands.options import (
     Quiet,
     Replace,
     Settings,
+    Workers,
     fail,
     languages,
     print_json,
@@ -30,9 +31,10 @@ def run(
     documents: Documents = True,
     replace: Replace = False,
     json: Json = False,
+    workers: Workers = 1,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate, evaluate, score and report.
+    """Simulate, evaluate, score and report. Interrupted, the same command goes on where it stopped.
 
     Parameters
     ----------
@@ -49,7 +51,13 @@ def run(
     target = out or Path("out") / loaded.campaign.id
     with display(quiet=quiet) as progress:
         done = pipeline.run(
-            loaded, target, progress, replace=replace, languages=languages(language), documents=documents
+            loaded,
+            target,
+            progress,
+            replace=replace,
+            languages=languages(language),
+            documents=documents,
+            workers=workers,
         )
     report(done, json, language)
 
@@ -63,9 +71,10 @@ def simulate(
     set_: Settings = (),
     replace: Replace = False,
     json: Json = False,
+    workers: Workers = 1,
     quiet: Quiet = False,
 ) -> None:
-    """Fly and observe the range: write a campaign folder.
+    """Fly and observe the range: write a campaign folder. Interrupted, the same command goes on where it stopped.
 
     Parameters
     ----------
@@ -82,7 +91,7 @@ def simulate(
 
     loaded = load_config(config, set_)
     with display(quiet=quiet) as progress:
-        pipeline.simulate(loaded, out, progress, replace=replace, only=only)
+        pipeline.simulate(loaded, out, progress, replace=replace, only=only, workers=workers)
     if json:
         print_json({"campaign": loaded.campaign.id, "folder": str(out)})
     else:

@@ -5,6 +5,7 @@ import sys
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
 Settings = Annotated[
     tuple[str, ...],
@@ -17,6 +18,13 @@ Settings = Annotated[
 ]
 Replace = Annotated[
     bool, Parameter(negative="", show_default=False, help="Replace an output folder of an earlier run.")
+]
+Workers = Annotated[
+    int,
+    Parameter(
+        validator=Number(gte=1, lte=256),
+        help="Processes that share pictures and strips; more than one pays from four cores on. The same files for any number.",
+    ),
 ]
 Json = Annotated[bool, Parameter(name="--json", negative="", show_default=False, help="Print JSON instead of tables.")]
 Lang = Annotated[
