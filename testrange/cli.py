@@ -14,7 +14,7 @@ from pathlib import Path
 from cyclopts import App, CycloptsError
 
 from campaign.errors import TestrangeError
-from testrange.commands import campaigns, faults, filing
+from testrange.commands import campaigns, faults, filing, study
 from testrange.commands.options import fail
 
 app = App(
@@ -36,6 +36,7 @@ for _command in (
     filing.view,
     campaigns.check,
     faults.faults,
+    study.study,
     campaigns.schema,
     filing.picture,
 ):

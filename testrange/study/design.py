@@ -1,0 +1,80 @@
+"""Factors to rows: which value every factor has in every row of a design. SALib draws the samples; the order is the table's."""
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+
+from campaign.errors import ConfigError
+from testrange.study.model import MAX_POINTS, SAMPLED, Factor, Level, Study, Value
+
+Row = tuple[Value | Level, ...]  # one entry for each factor of the study, in its order
+
+
+def design_rows(study: Study) -> list[Row]:
+    """All rows of the design, without replicates.
+
+    grid    every combination, the last factor fastest
+    list    the first values of all factors, then the second ...
+    lhs, sobol, morris   SALib's samples in SALib's order, so that its analyses can be applied to the table
+    """
+    if study.design in SAMPLED:
+        return _sampled(study)
+    levels = [_levels(factor) for factor in study.factor]
+    if study.design == "list":
+        if len({len(found) for found in levels}) > 1:
+            told = ", ".join(f"{f.name} {len(found)}" for f, found in zip(study.factor, levels))
+            raise ConfigError("design = list takes the same number of values of each factor", got=told)
+        return list(zip(*levels))
+    _refuse_many(math.prod(len(found) for found in levels) * study.replicates)
+    return list(itertools.product(*levels))
+
+
+def problem(study: Study) -> dict[str, Any]:
+    """SALib's description of the factors, on the axes that are sampled (the logarithm of a `log` factor)."""
+    return {
+        "num_vars": len(study.factor),
+        "names": [factor.name for factor in study.factor],
+        "bounds": [_bounds(factor) for factor in study.factor],
+    }
+
+
+def on_axis(factor: Factor, value: float) -> float:
+    """Where a value stands on the axis that is sampled."""
+    return math.log10(value) if factor.log else value
+
+
+def _levels(factor: Factor) -> tuple[Value | Level, ...]:
+    return factor.level or factor.values or ()
+
+
+def _bounds(factor: Factor) -> list[float]:
+    assert factor.range is not None  # the study's own check
+    return [on_axis(factor, bound) for bound in factor.range]
+
+
+def _sampled(study: Study) -> list[Row]:
+    from SALib.sample import latin, morris, sobol  # type: ignore[import-untyped]
+
+    count, k, seed = study.samples or 1, len(study.factor), study.design_seed
+    per_sample = {"lhs": 1, "sobol": 2 * k + 2 if study.second_order else k + 2, "morris": k + 1}[study.design]
+    _refuse_many(count * per_sample * study.replicates)
+    described = problem(study)
+    if study.design == "lhs":
+        drawn = latin.sample(described, count, seed=seed)
+    elif study.design == "sobol":
+        drawn = sobol.sample(described, count, calc_second_order=study.second_order, seed=seed)
+    else:
+        drawn = morris.sample(described, count, num_levels=study.grid_levels, seed=seed)
+    return [tuple(_value(f, float(x)) for f, x in zip(study.factor, row)) for row in np.asarray(drawn)]
+
+
+def _value(factor: Factor, drawn: float) -> Value:
+    value = 10.0**drawn if factor.log else drawn
+    return round(value) if factor.whole else float(f"{value:.12g}")
+
+
+def _refuse_many(points: int) -> None:
+    if points > MAX_POINTS:
+        raise ConfigError("too many points", got=points, expected=f"at most {MAX_POINTS}", remedy="take fewer samples")

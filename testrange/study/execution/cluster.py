@@ -1,0 +1,86 @@
+"""A Dask cluster as the place of execution: the same task, the same files. Needs the extra `cluster`.
+
+Point results come back to the study, which writes them: workers need no common disk. Where they have one, under the same path,
+they share renders; elsewhere each machine renders for itself.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from testrange.study.execution.point import run_point
+from testrange.study.execution.schedule import Outcome, Task
+from testrange.study.model import StudyError
+
+CONNECT_S = 20.0
+_AHEAD = 2  # tasks at the scheduler for each thread of the cluster: a worker need not wait for the next
+
+
+class Cluster:
+    """A scheduler that somebody started. Implements `schedule.Places`."""
+
+    def __init__(self, address: str, run: Callable[[Task], Outcome] = run_point) -> None:
+        self._client, self._wait = _connect(address)
+        self._address = address
+        self._run = run
+        self._futures: dict[str, Any] = {}
+
+    def __enter__(self) -> "Cluster":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for future in self._futures.values():
+            future.cancel()
+        self._client.close()
+
+    def room(self) -> bool:
+        workers: dict[str, Any] = self._client.scheduler_info(n_workers=-1)["workers"]
+        threads = sum(int(w["nthreads"]) for w in workers.values())
+        return len(self._futures) < max(_AHEAD * threads, 1)
+
+    def give(self, task: Task) -> None:
+        self._futures[task["id"]] = self._client.submit(
+            self._run, dict(task), key=f"{task['id']}-{id(self)}", pure=False
+        )
+
+    def next(self) -> list[tuple[str, Outcome | None]]:
+        try:
+            self._wait(list(self._futures.values()), return_when="FIRST_COMPLETED")
+        except Exception as error:  # its own errors, or those of the connection
+            if self._client.status != "running":
+                raise StudyError(
+                    "the scheduler is gone", where=self._address, got=error, remedy="run the study again: it resumes"
+                ) from None
+        ended = [(point_id, future) for point_id, future in self._futures.items() if future.done()]
+        for point_id, _ in ended:
+            del self._futures[point_id]
+        return [(point_id, _outcome(future)) for point_id, future in ended]
+
+
+def _outcome(future: Any) -> Outcome | None:
+    """None where the worker, or the scheduler's memory of the task, was lost."""
+    if future.status != "finished":
+        return None
+    try:
+        return future.result()
+    except Exception:  # the worker that held the result left before it was fetched
+        return None
+
+
+def _connect(address: str) -> tuple[Any, Any]:
+    """The client, and the function that waits for its futures."""
+    try:
+        import distributed
+    except ImportError:
+        raise StudyError(
+            "--scheduler needs Dask, which is not installed", remedy="pip install 'testrange[cluster]'"
+        ) from None
+    try:
+        client: Any = distributed.Client
+        return client(address, timeout=CONNECT_S, set_as_default=False), distributed.wait
+    except (OSError, TimeoutError, ValueError) as error:
+        raise StudyError(
+            "no Dask scheduler answers",
+            where=address,
+            got=f"{type(error).__name__}: {error}"[:200],
+            expected="for example tcp://192.0.2.7:8786",
+        ) from None
