@@ -1,0 +1,186 @@
+"""A simulation that was stopped ends with the same bytes; so does one that several processes share."""
+
+import hashlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from campaign.config import Config
+from campaign.errors import CampaignError, ConfigError, WriteError
+from campaign.resume import resumable_folder
+from simulator.journal import Journal, finished_units
+from testrange.pipeline import simulate
+from testrange.progress import no_progress
+
+CONFTEST = Path(__file__).with_name("conftest.py")
+SIMULATE = """
+import importlib.util, pathlib, sys
+spec = importlib.util.spec_from_file_location("micro", sys.argv[1])
+micro = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(micro)
+from testrange.pipeline import simulate
+simulate(micro.micro_config(), pathlib.Path(sys.argv[2]), lambda *_: None)
+"""
+
+
+def different(a: Path, b: Path) -> set[str]:
+    """Paths that only one folder has, or whose bytes differ."""
+    left, right = (
+        {p.relative_to(f).as_posix(): hashlib.sha256(p.read_bytes()).digest() for p in f.rglob("*") if p.is_file()}
+        for f in (a, b)
+    )
+    return {name for name in left.keys() | right.keys() if left.get(name) != right.get(name)}
+
+
+def begin(out: Path) -> "subprocess.Popen[bytes]":
+    return subprocess.Popen([sys.executable, "-c", SIMULATE, str(CONFTEST), str(out)])
+
+
+def lines(journal: Path) -> int:
+    return journal.read_bytes().count(b"\n") if journal.is_file() else 0
+
+
+def kill_at(out: Path, units: int, delay_s: float) -> bool:
+    """Simulates until that many units are finished, waits, and kills. False: it had ended before."""
+    process, journal = begin(out), out.with_name(f".{out.name}.part") / "journal"
+    try:
+        while process.poll() is None and lines(journal) < units:
+            time.sleep(0.01)
+        time.sleep(delay_s)
+        if process.poll() is not None:
+            return False
+        process.send_signal(signal.SIGKILL)
+    finally:
+        process.kill()
+        process.wait()
+    return True
+
+
+def killed_and_resumed(out: Path, moments: list[tuple[int, float]]) -> int:
+    """Kills at those moments, then lets it end; how often it was killed at work."""
+    killed = sum(kill_at(out, *moment) for moment in moments)
+    if not out.is_dir():
+        assert begin(out).wait(timeout=300) == 0
+    return killed
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system kills otherwise")
+def test_five_kills(micro_campaign: Path, tmp_path: Path) -> None:
+    """Rationale: a full-size campaign takes half an hour; a power cut must not cost it, nor leave a file that only looks whole.
+
+    Expected: killed with SIGKILL in its sphere, chessboard, ranging line, picture and strip, the folder ends as an undisturbed
+    one and nothing is left beside it. Tolerance: none, bytes.
+    """
+    chance = random.Random(20260925)
+    moments = [(units, chance.uniform(0.0, 0.3)) for units in (2, 44, 58, 68, 71)]
+    out = tmp_path / "campaign"
+    assert killed_and_resumed(out, moments) >= 3  # the last ones may find it finished
+    assert different(micro_campaign, out) == set()
+    assert [p.name for p in tmp_path.iterdir()] == ["campaign"]
+
+
+@pytest.mark.slow
+def test_fifty_kills(micro_campaign: Path, tmp_path: Path) -> None:
+    """Rationale and expectation as above, at fifty random moments in ten simulations of five kills each."""
+    for attempt in range(10):
+        chance = random.Random(attempt)
+        moments = sorted((chance.randrange(0, 72), chance.uniform(0.0, 0.5)) for _ in range(5))
+        out = tmp_path / f"{attempt}"
+        killed_and_resumed(out, moments)
+        assert different(micro_campaign, out) == set(), attempt
+
+
+def test_two_workers_write_the_same_campaign(
+    micro_campaign: Path, micro: Callable[..., Config], tmp_path: Path
+) -> None:
+    """Rationale: on a machine with many cores several processes share pictures and strips; who made which must not show.
+
+    Expected: every file as one process writes it. Tolerance: none, bytes.
+    """
+    out = tmp_path / "campaign"
+    simulate(micro(), out, no_progress, workers=2)
+    assert different(micro_campaign, out) == set()
+
+
+def test_only_what_is_complete_counts(tmp_path: Path) -> None:
+    """Rationale: after a power cut the journal may end in half a line, and a file may be shorter than it was said to be.
+
+    Expected: of four units one counts: its line is whole and its file has its size.
+    """
+    root, file = tmp_path / "folder", tmp_path / "journal"
+    root.mkdir()
+    for name in ("whole", "short", "gone", "torn"):
+        (root / name).write_bytes(b"12345678")
+        Journal(root, file).finish(name, [root / name])
+    (root / "short").write_bytes(b"1234")
+    (root / "gone").unlink()
+    file.write_bytes(file.read_bytes()[:-10])
+    journal = Journal(root, file)
+    assert [name for name in ("whole", "short", "gone", "torn", "new") if not journal.wants(name)] == ["whole"]
+    assert finished_units(root, file) == 1
+
+
+def test_shares_cover_every_unit_once() -> None:
+    """Rationale: a unit that two workers take is made twice, one that none takes is left to the parent alone."""
+    units = [f"unit {k}" for k in range(17)]
+    taken = [[u for u in units if journal.wants(u)] for journal in (Journal(share=(k, 3)) for k in range(3))]
+    assert sorted(u for share in taken for u in share) == sorted(units)
+    assert max(map(len, taken)) - min(map(len, taken)) == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "kept"),
+    [
+        (KeyboardInterrupt(), True),
+        (WriteError("no space left"), True),
+        (MemoryError(), True),
+        (ConfigError("no"), False),
+    ],
+)
+def test_what_survives_a_failure(tmp_path: Path, error: BaseException, kept: bool) -> None:
+    """Rationale: an interrupt, a full disk and too little memory are no fault of the input, and the same command may go on; a wrong
+    configuration must leave nothing. Expected: kept or gone, and the next call of another task begins afresh."""
+    target = tmp_path / "out"
+    with pytest.raises(type(error)), resumable_folder(target, "task") as work:
+        (work.folder / "made").write_text("1")
+        (work.folder / ".made.part.tif").write_text("half")
+        raise error
+    assert not target.exists()
+    assert (tmp_path / ".out.part").exists() is kept
+    with resumable_folder(target, "task") as work:
+        assert work.resumed is kept
+        assert [p.name for p in work.folder.iterdir()] == (["made"] if kept else [])
+        (work.folder / "more").write_text("2")
+    assert sorted(p.name for p in target.iterdir()) == (["made", "more"] if kept else ["more"])
+
+
+def test_another_task_begins_afresh(tmp_path: Path) -> None:
+    """Rationale: what another configuration had made must not get into this campaign."""
+    with pytest.raises(KeyboardInterrupt), resumable_folder(tmp_path / "out", "one") as work:
+        (work.folder / "made").write_text("1")
+        raise KeyboardInterrupt
+    with resumable_folder(tmp_path / "out", "two") as work:
+        assert not work.resumed
+        assert list(work.folder.iterdir()) == []
+        (work.folder / "mine").write_text("2")
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["mine"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="locks are POSIX")
+def test_two_commands_on_one_target(tmp_path: Path) -> None:
+    """Rationale: two simulations that write into one folder would mix. Expected: the second says so in one line."""
+    with resumable_folder(tmp_path / "out", "task") as work:
+        (work.folder / "a").write_text("1")
+        with (
+            pytest.raises(CampaignError, match="another testrange is at work on it"),
+            resumable_folder(tmp_path / "out", "task"),
+        ):
+            pass
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
