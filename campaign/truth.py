@@ -8,9 +8,12 @@ truth/scene.ply         the true surfaces, world frame
 truth/returns_SS_LL.npz   per return of sortie SS strip LL: range_m, normal, target index, face
 """
 
+import shutil
+import tempfile
 import zipfile
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from pydantic import Field
@@ -139,9 +142,58 @@ def verify_truth(root: Path, truth: Truth) -> list[str]:
     return compare_files(root, truth.files, _files(root))
 
 
+_COLUMNS: dict[str, tuple[str, tuple[int, ...]]] = {
+    "range_m": ("<f8", ()),
+    "normal_world": ("<f4", (3,)),
+    "target": ("<i4", ()),
+    "face": ("|i1", ()),
+}
+
+
+class TrueReturnsWriter:
+    """Streams one strip's returns into .npz: each column grows in a nameless file, so memory does not grow with the strip.
+
+    A context manager; the file appears when the block ends without an error. `count`: returns written so far.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._columns = {name: tempfile.TemporaryFile(dir=path.parent) for name in _COLUMNS}  # noqa: SIM115
+        self.count = 0
+
+    def write(self, returns: TrueReturns) -> None:
+        """Append rows."""
+        for name, (kind, _) in _COLUMNS.items():
+            self._columns[name].write(np.ascontiguousarray(getattr(returns, name), kind).data)
+        self.count += len(returns.range_m)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self._join()
+        finally:
+            for column in self._columns.values():
+                column.close()
+
+    def _join(self) -> None:
+        """The columns as members of one archive; as `numpy.savez`, without any time of day."""
+        with complete_file(self._path) as work, zipfile.ZipFile(work, "w", zipfile.ZIP_STORED) as archive:
+            for name, (kind, tail) in _COLUMNS.items():
+                column = self._columns[name]
+                column.seek(0)
+                with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
+                    header = {"descr": kind, "fortran_order": False, "shape": (self.count, *tail)}
+                    np.lib.format.write_array_header_1_0(member, header)
+                    shutil.copyfileobj(column, member, 1 << 20)
+
+
 def write_true_returns(path: Path, returns: TrueReturns) -> None:
     """One strip's returns as .npz."""
-    _write_npz(path, {f.name: getattr(returns, f.name) for f in fields(TrueReturns)})
+    with TrueReturnsWriter(path) as writer:
+        writer.write(returns)
 
 
 def read_true_returns(path: Path) -> TrueReturns:

@@ -6,9 +6,10 @@ import numpy as np
 
 from campaign import las
 from campaign import truth as truth_files
+from campaign.errors import ConfigError
 from campaign.folder import CampaignFolder
 from campaign.progress import Report
-from simulator import record_truth, rig
+from simulator import rig
 from simulator.journal import Journal
 from simulator.lidar import simulate_strip
 from simulator.world import Range
@@ -34,6 +35,7 @@ def fly_lidar(world: Range, place: CampaignFolder, progress: Report, journal: Jo
             progress("lidar", done, len(strips))
             continue
         folder = place.sortie(sortie.number)
+        true_returns = place.truth / f"returns_{sortie.number:02d}_{strip.number:02d}.npz"
         spec = las.LasSpec(
             projection_epsg=site.projection_epsg,
             height_epsg=site.height_epsg,
@@ -45,7 +47,6 @@ def fly_lidar(world: Range, place: CampaignFolder, progress: Report, journal: Jo
             bit_depth=16,
             file_source_id=strip.number,
         )
-        known: list[truth_files.TrueReturns] = []
         chunks = simulate_strip(
             world.render_scene,
             config,
@@ -60,18 +61,19 @@ def fly_lidar(world: Range, place: CampaignFolder, progress: Report, journal: Jo
         with (
             ThreadPoolExecutor(1) as pool,
             las.StripWriter(folder.strip_las(strip.number), folder.strip_points(strip.number), spec) as writer,
+            truth_files.TrueReturnsWriter(true_returns) as truth,
         ):
             for chunk in chunks:
                 if waiting is not None:
                     waiting.result()
                 waiting = pool.submit(writer.write, chunk.returns, chunk.packets)
-                known.append(chunk.truth)
+                truth.write(chunk.truth)
             if waiting is not None:
                 waiting.result()
-        true_returns = place.truth / f"returns_{sortie.number:02d}_{strip.number:02d}.npz"
-        truth_files.write_true_returns(true_returns, record_truth.joined(known))
+            if truth.count == 0:
+                raise ConfigError(
+                    "no pulse of a strip gave an echo", remedy="check flight.heights_m and lidar.pulse_energy_uj"
+                )
         las_file = folder.strip_las(strip.number)
-        journal.finish(
-            unit, [las_file, las_file.with_suffix(".wdp"), folder.strip_points(strip.number), true_returns]
-        )
+        journal.finish(unit, [las_file, las_file.with_suffix(".wdp"), folder.strip_points(strip.number), true_returns])
         progress("lidar", done, len(strips))

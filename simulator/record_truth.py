@@ -6,7 +6,6 @@ import numpy as np
 
 from campaign import truth as files
 from campaign.config import Camera, Config, Faults, Vector3
-from campaign.errors import ConfigError
 from campaign.load import dump_toml
 from scenes.model import Scene, Target
 from scenes.spectra import band_reflectance, reflectance_at
@@ -33,18 +32,6 @@ def marks_in(
         for t, uv, seen in zip(targets, pixel, inside, strict=True)
         if np.isfinite(uv).all()
     ]
-
-
-def joined(parts: list[files.TrueReturns]) -> files.TrueReturns:
-    """The chunks of one strip as one."""
-    if not parts:
-        raise ConfigError("no pulse of a strip gave an echo", remedy="check flight.heights_m and lidar.pulse_energy_uj")
-    return files.TrueReturns(
-        range_m=np.concatenate([p.range_m for p in parts]),
-        normal_world=np.concatenate([p.normal_world for p in parts]),
-        target=np.concatenate([p.target for p in parts]),
-        face=np.concatenate([p.face for p in parts]),
-    )
 
 
 def write(
