@@ -100,7 +100,7 @@ def camera_from_lidar_vector(nominal: tuple[Mounting, Mounting], parameters: np.
     return np.concatenate([euler_angles(reference.T @ rotation), translation])
 
 
-def _product_covariance(nominal: tuple[Mounting, Mounting], x: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+def product_covariance(nominal: tuple[Mounting, Mounting], x: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     jacobian = np.zeros((6, 12))
     for j in range(12):  # central differences: the map is smooth and a step of 1e-6 leaves 1e-10
         d = np.zeros(12)
@@ -270,7 +270,7 @@ def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray |
         camera_from_lidar_rotation=rotation,
         camera_from_lidar_translation_m=translation,
         camera_from_lidar=camera_from_lidar_vector(system.nominal, x[:12]),
-        camera_from_lidar_covariance=_product_covariance(system.nominal, x[:12], covariance[:12, :12]),
+        camera_from_lidar_covariance=product_covariance(system.nominal, x[:12], covariance[:12, :12]),
         vertices_world_m={
             t: fit.x[n + 3 * i : n + 3 * i + 3] + problem.surveyed[t].vertex_from_mark_m
             for i, t in enumerate(system.targets)

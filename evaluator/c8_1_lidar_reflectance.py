@@ -12,6 +12,8 @@ import numpy as np
 
 from campaign.sensors import LidarSheet
 from campaign.survey import Spectra, SurveyedTarget
+from evaluator.algorithms.record import OWN_TOOLS, Tools
+from evaluator.algorithms.slots import ReflectanceTask
 from evaluator.model import EvaluationError
 from evaluator.observe.panels import LidarPanelObservation
 from evaluator.results_model import IndicatorValue, not_measured
@@ -158,7 +160,11 @@ class PanelReflectances:
 
 
 def lidar_reflectances(
-    observations: Sequence[LidarPanelObservation], reference_percent: dict[str, float], *, incidence: bool = False
+    observations: Sequence[LidarPanelObservation],
+    reference_percent: dict[str, float],
+    *,
+    incidence: bool = False,
+    tools: Tools = OWN_TOOLS,
 ) -> PanelReflectances:
     """R_i of every panel: one surface f(A, L, R) for each design height, values averaged over strips and heights.
 
@@ -170,6 +176,8 @@ def lidar_reflectances(
         Actual reflectance by panel. [%]
     incidence : bool
         The named variant: A / cos(incidence) takes the place of A.
+    tools : Tools
+        `reflectance_model` is used.
     """
     if not observations:
         raise EvaluationError("no panel was found in the LiDAR's strips")
@@ -179,15 +187,25 @@ def lidar_reflectances(
     range_m = np.array([o.range_m for o in observations])
     reference = np.array([reference_percent[p] for p in panel])
     inside, outside = np.full(panel.size, np.nan), np.full(panel.size, np.nan)
+
+    def model(known: np.ndarray, at: np.ndarray) -> np.ndarray:
+        return tools.reflectance_model(
+            ReflectanceTask(
+                amplitude_dn=amplitude[known],
+                range_m=range_m[known],
+                reflectance_percent=reference[known],
+                at_amplitude_dn=amplitude[at],
+                at_range_m=range_m[at],
+            )
+        )
+
     for h in np.unique(height):
         rows = height == h
-        surface = fit_reflectance_surface(amplitude[rows], range_m[rows], reference[rows])
-        inside[rows] = surface(amplitude[rows], range_m[rows])
+        inside[rows] = model(rows, rows)
         for p in np.unique(panel[rows]):
             others, own = rows & (panel != p), rows & (panel == p)
             if others.sum() >= _COEFFICIENTS:
-                surface = fit_reflectance_surface(amplitude[others], range_m[others], reference[others])
-                outside[own] = surface(amplitude[own], range_m[own])
+                outside[own] = model(others, own)
     return panel_means(panel, inside, outside, reference_percent)
 
 
@@ -295,6 +313,7 @@ def evaluate_lidar_reflectance(
     targets: Sequence[SurveyedTarget],
     spectra: Spectra | None,
     lidar: LidarSheet | None,
+    tools: Tools = OWN_TOOLS,
 ) -> tuple[IndicatorValue, PanelReflectances | None]:
     """Indicator `lidar_reflectance_rmse` with its companions, and the panels' values for 8.3.
 
@@ -307,8 +326,8 @@ def evaluate_lidar_reflectance(
         return not_measured(unit, formula, clause, f"{missing} is missing"), None
     try:
         reference = {p: reflectance_at(spectra, p, lidar.wavelength_nm) for p in {o.panel for o in observations}}
-        plain = lidar_reflectances(observations, reference)
-        angle = lidar_reflectances(observations, reference, incidence=True)
+        plain = lidar_reflectances(observations, reference, tools=tools)
+        angle = lidar_reflectances(observations, reference, incidence=True, tools=tools)
     except EvaluationError as error:
         return not_measured(unit, formula, clause, str(error)), None
     value = lidar_reflectance_rmse(plain.measured_percent, plain.reference_percent)
@@ -323,7 +342,8 @@ def evaluate_lidar_reflectance(
         "observations": len(observations),
         "returns_used": int(sum(o.used for o in observations)),
         "panels": panel_table(plain),
-        "surfaces": surface_table(observations, reference),
+        # the coefficients of our own surface say nothing about another model
+        "surfaces": [] if "reflectance_model" in tools.replaced else surface_table(observations, reference),
     }
     reason = panel_shortfall(plain.panels, targets)
     if reason is None and not all(o.from_waveform for o in observations):

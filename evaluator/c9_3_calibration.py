@@ -9,6 +9,7 @@ import numpy as np
 
 from campaign.config import Lens
 from evaluator.adjustment import on_true_time, solve_mountings
+from evaluator.algorithms.solvers import Solve
 from evaluator.blunders import without
 from evaluator.camera_model import camera_points, ideal_px, project, undistorted_px
 from evaluator.georeference import mounting_from_sheet, world_points
@@ -170,7 +171,9 @@ def target_errors(table: list[Residual]) -> dict[str, float]:
     return {t: float(np.mean(v)) for t, v in sorted(grouped.items())}
 
 
-def held_out_errors(problem: Problem, solution: MountingSolution, folds: int = _FOLDS) -> dict[str, float]:
+def held_out_errors(
+    problem: Problem, solution: MountingSolution, folds: int = _FOLDS, solve: Solve = solve_mountings
+) -> dict[str, float]:
     """P_i of each target by mountings that were estimated without it (k-fold over targets, fixed draw). [px]"""
     targets = sorted({o.target for o in problem.marks} & {o.target for o in problem.vertices})
     order = np.random.default_rng(20220).permutation(len(targets))
@@ -183,7 +186,7 @@ def held_out_errors(problem: Problem, solution: MountingSolution, folds: int = _
             vertices=tuple(o for o in problem.vertices if o.target not in held),
         )
         try:
-            other = solve_mountings(rest, snoop=False, start=solution.parameters)
+            other = solve(rest, snoop=False, start=solution.parameters)
         except EvaluationError:
             continue
         tested = replace(
@@ -224,7 +227,9 @@ def bootstrap_mean(table: list[Residual], strips: list[int], draws: int = _DRAWS
     return float(means.std(ddof=1)), float(low), float(high)
 
 
-def evaluate_calibration(problem: Problem, solution: MountingSolution) -> CalibrationResult:
+def evaluate_calibration(
+    problem: Problem, solution: MountingSolution, solve: Solve = solve_mountings
+) -> CalibrationResult:
     """P_m (20) of a campaign, with uncertainty and companions.
 
     Parameters
@@ -232,6 +237,8 @@ def evaluate_calibration(problem: Problem, solution: MountingSolution) -> Calibr
     problem : Problem
         As given to `solve_mountings`.
     solution : MountingSolution
+    solve : callable
+        What gave it, for the figure on held-out targets.
 
     Returns
     -------
@@ -262,7 +269,7 @@ def evaluate_calibration(problem: Problem, solution: MountingSolution) -> Calibr
         str(s): calibration_error(np.array(list(target_errors([r for r in table if r.sortie == s]).values())))
         for s in sorted({r.sortie for r in table})
     }
-    held = held_out_errors(kept, solution)
+    held = held_out_errors(kept, solution, solve=solve)
     drifting = residual_table(timed, solution.body_from_camera, solution.body_from_lidar, whole_sortie=True)
     single = solve_single_instant(kept, lidar_marks(kept, mounting_from_sheet(kept.rig.lidar), by_strip=True))
     indicator = IndicatorValue(

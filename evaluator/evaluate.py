@@ -18,6 +18,9 @@ from campaign.images import read_image, read_preview
 from campaign.progress import Report, silent
 from campaign.records import CameraObservation, Exposure, read_camera_observations
 from campaign.threads import one_blas_thread
+from evaluator.algorithms.guard import Log, guarded
+from evaluator.algorithms.record import OWN, Algorithms, Tools
+from evaluator.algorithms.solvers import mountings_solver
 from evaluator.benches import evaluate_benches, flight_lens, flight_ranges
 from evaluator.board_observations import BoardObservation, observe_boards
 from evaluator.c8_1_lidar_reflectance import PanelReflectances, evaluate_lidar_reflectance
@@ -67,8 +70,9 @@ class _Findings:
             self.problems.append(line)
 
 
-@one_blas_thread()
-def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = False) -> Evaluation:
+def evaluate_campaign(
+    root: Path, progress: Report = silent, *, strict: bool = False, algorithms: Algorithms = OWN
+) -> Evaluation:
     """Evaluate one campaign folder.
 
     Parameters
@@ -77,6 +81,9 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
     progress : callable
     strict : bool
         A target that no image or no strip can hold ends the evaluation; else it is named among the problems.
+    algorithms : Algorithms
+        What stands in the seven slots. What fails of it is named among the problems and missing in the results. One that never
+        returns is stopped where signals reach it; `algorithms.apart` runs the whole in a process that can be ended.
 
     Raises
     ------
@@ -85,6 +92,12 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
     EvaluationError
         `strict`, and a target lies outside.
     """
+    return evaluate_with(root, progress, *guarded(algorithms), strict=strict)
+
+
+@one_blas_thread()
+def evaluate_with(root: Path, progress: Report, tools: Tools, log: Log, *, strict: bool = False) -> Evaluation:
+    """`evaluate_campaign` with tools from `algorithms.guard.guarded`, whose calls `log` counts."""
     data = read_campaign(root)
     findings = _Findings(problems=list(data.problems), root=root)
     benches = evaluate_benches(data, progress)
@@ -95,20 +108,20 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
     _outside(targets_outside_images(data), strict, findings)
     returns = _returns_near_targets(data, findings, progress)
     _outside(targets_outside_strips(data, returns, _collect_radius_m(data)), strict, findings)
-    _look_for_targets(data, findings, progress)
-    geometry, geometry_reason = _geometry(data, returns, findings, progress)
+    _look_for_targets(data, findings, tools, progress)
+    geometry, geometry_reason = _geometry(data, returns, findings, tools, progress)
     camera, lidar = _mountings(data, geometry)
     progress("panels", 0, 2)
-    lidar_panels = _lidar_panels(data, returns, lidar if geometry else None, findings)
+    lidar_panels = _lidar_panels(data, returns, lidar if geometry else None, findings, tools)
     progress("panels", 1, 2)
     _image_panels(data, camera, geometry is not None, findings, progress)
-    m_f, lidar_values = evaluate_lidar_reflectance(lidar_panels, data.targets, data.spectra, data.lidar)
+    m_f, lidar_values = evaluate_lidar_reflectance(lidar_panels, data.targets, data.spectra, data.lidar, tools)
     r_f, m_relative, camera_values = evaluate_reflectance_consistency(
         lidar_values, findings.panels, data.targets, data.spectra, data.camera, lidar_reason=m_f.reason or "8.1 failed"
     )
     progress("panels", 2, 2)
     progress("calibration error", 0, 1)
-    calibration, p_m = _calibration(geometry, geometry_reason)
+    calibration, p_m = _calibration(geometry, geometry_reason, tools)
     if p_m.value is not None:
         by = data.range_correction
         ranges = "as measured" if by is None else f"corrected by (15): {by.additive_constant_m:+.4f} m"
@@ -116,13 +129,14 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
         p_m = replace(p_m, companions={**p_m.companions, "interior_orientation": lens_source, "ranges": ranges})
     progress("calibration error", 1, 1)
     solution = geometry.solution if geometry else None
-    boards = _boards_block(data, findings)
+    boards = _boards_block(data, findings, tools)
     indicators = benches.indicators | {
         "lidar_reflectance_rmse": m_f,
         "reflectance_correlation": r_f,
         "reflectance_rmse_relative": m_relative,
         "calibration_error": p_m,
     }
+    examples = waveform_examples(data, returns, lidar_panels, tools)
     measured = replace(
         _conformity_inputs(data, findings, geometry, lidar_panels, returns, camera, indicators),
         sphere=benches.sphere,
@@ -138,15 +152,16 @@ def evaluate_campaign(root: Path, progress: Report = silent, *, strict: bool = F
         mounting_reason=geometry_reason,
         mounting_prior_std=solution.prior_std if solution else None,
         boards=boards,
-        closure=_closure_block(geometry),
-        problems=tuple(findings.problems),
+        closure=_closure_block(geometry, tools),
+        problems=(*findings.problems, *log.problems()),
+        algorithms=tools.replaced,
         data=data,
         marks=tuple(findings.marks),
         vertices=geometry.vertices if geometry else (),
         residuals=calibration.residuals if calibration else (),
         panels=_panel_values(data, lidar_values, camera_values),
         regions=tuple(findings.regions),
-        waveforms=tuple(waveform_examples(data, returns, lidar_panels)),
+        waveforms=tuple(examples),
         strip_window_s=measured.strip_window_s,
         companions={
             "marks_not_found": dict(sorted(findings.mark_reasons.items())),
@@ -238,7 +253,7 @@ def _picked(sortie: SortieData, findings: _Findings) -> list[CameraObservation]:
         return []
 
 
-def _look_for_targets(data: CampaignData, findings: _Findings, progress: Report) -> None:
+def _look_for_targets(data: CampaignData, findings: _Findings, tools: Tools, progress: Report) -> None:
     """Marks and boards of every image; nothing without the rig and the camera's sheet."""
     wanted = {t.kind for t in data.targets} & {"frustum", "board"}
     if data.rig is None or data.camera is None or not wanted:
@@ -255,7 +270,7 @@ def _look_for_targets(data: CampaignData, findings: _Findings, progress: Report)
             image = _image(data, sortie, exposure)
             if "frustum" in wanted:
                 search = search_radius_px(data, height)
-                marks, reasons = observe_marks(data, sortie, exposure, image, nominal, search, picked)
+                marks, reasons = observe_marks(data, sortie, exposure, image, nominal, search, picked, tools)
                 findings.marks += marks
                 findings.mark_reasons |= reasons
             if "board" in wanted:
@@ -271,6 +286,7 @@ def _geometry(
     data: CampaignData,
     returns: dict[tuple[int, int, str], TargetReturns],
     findings: _Findings,
+    tools: Tools,
     progress: Report,
 ) -> tuple[GeometryResult | None, str | None]:
     """Both mountings from the marks and the returns; or why there are none."""
@@ -281,7 +297,7 @@ def _geometry(
         return None, "the survey holds no frustum target" if data.targets else "no survey/targets.csv"
     progress("mounting", 0, 1)
     try:
-        result = solve_geometry(data, findings.marks, returns)
+        result = solve_geometry(data, findings.marks, returns, tools)
     except EvaluationError as error:
         return None, str(error)
     finally:
@@ -289,22 +305,24 @@ def _geometry(
     return result, None
 
 
-def _boards_block(data: CampaignData, findings: _Findings) -> dict[str, Any]:
+def _boards_block(data: CampaignData, findings: _Findings, tools: Tools) -> dict[str, Any]:
     """The camera's mounting by the patent's boards; empty where the survey holds none."""
     if not any(t.kind == "board" for t in data.targets):
         return {}
     not_in_images = {"not_in_images": dict(sorted(findings.board_reasons.items()))}
     try:
-        found = solve_by_boards(data, findings.boards, findings.board_reasons)
+        found = solve_by_boards(data, findings.boards, findings.board_reasons, tools)
     except EvaluationError as error:
         return {"status": "not_measured", "reason": str(error), **not_in_images}
     return {"status": "measured", **found.results_block(), **not_in_images}
 
 
-def _closure_block(geometry: GeometryResult | None) -> dict[str, object]:
+def _closure_block(geometry: GeometryResult | None, tools: Tools) -> dict[str, object]:
     """Camera-body and LiDAR-body against camera-LiDAR."""
     if geometry is None:
         return {}
+    if tools.extrinsic_solver is not None:
+        return {"reason": "the mountings come from an algorithm of the user's own"}
     try:
         return closure(geometry.problem, geometry.solution).block()
     except EvaluationError as error:
@@ -323,11 +341,12 @@ def _lidar_panels(
     returns: dict[tuple[int, int, str], TargetReturns],
     body_from_lidar: Mounting | None,
     findings: _Findings,
+    tools: Tools,
 ) -> list[LidarPanelObservation]:
     if data.rig is None or data.lidar is None:
         return []
     try:
-        return lidar_panel_observations(data, returns, body_from_lidar)
+        return lidar_panel_observations(data, returns, body_from_lidar, tools)
     except TestrangeError as error:
         findings.problem(error)
         return []
@@ -391,12 +410,12 @@ def _brightness(
 
 
 def _calibration(
-    geometry: GeometryResult | None, reason: str | None
+    geometry: GeometryResult | None, reason: str | None, tools: Tools
 ) -> tuple[CalibrationResult | None, IndicatorValue]:
     if geometry is None:
         return None, not_measured("pixel", "(20)", "9.3", reason or "the mountings are not known")
     try:
-        result = evaluate_calibration(geometry.problem, geometry.solution)
+        result = evaluate_calibration(geometry.problem, geometry.solution, mountings_solver(tools))
     except EvaluationError as error:
         return None, not_measured("pixel", "(20)", "9.3", str(error))
     return result, result.indicator

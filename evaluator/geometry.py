@@ -13,6 +13,9 @@ from campaign.records import CameraObservation, Exposure
 from campaign.sensors import CameraSheet
 from campaign.survey import SurveyedTarget
 from evaluator.adjustment import solve_mountings
+from evaluator.algorithms.record import OWN_TOOLS, Tools
+from evaluator.algorithms.slots import AlgorithmFailure, MarkTask
+from evaluator.algorithms.solvers import Solve, mountings_solver
 from evaluator.camera_model import camera_points, project_exposure, project_with_jacobian, row_time
 from evaluator.frames import WorldFrame, body_pose
 from evaluator.georeference import TargetReturns, corrected_points, lidar_points, nominal_mountings
@@ -28,8 +31,7 @@ from evaluator.model import (
 )
 from evaluator.mounting_model import Problem, SurveyedMark
 from evaluator.observe.frustums import FrustumModel, find_vertex, frustum_model
-from evaluator.observe.mark_view import MarkView
-from evaluator.observe.marks import find_mark
+from evaluator.observe.mark_view import MarkView, mark_radius_px
 from evaluator.observe.target_view import sheet_corners, to_sun
 from evaluator.panel_planes import PlanesFound, contradiction, observe_planes, surveyed_panels
 
@@ -58,6 +60,7 @@ def observe_vertices(
     body_from_lidar: Mounting,
     *,
     located: bool = False,
+    tools: Tools = OWN_TOOLS,
 ) -> tuple[list[VertexObservation], dict[str, str]]:
     """Vertices of every frustum target and strip (9.3.2 d).
 
@@ -70,6 +73,8 @@ def observe_vertices(
         Approximate; see `observe.frustums.find_vertex`.
     located : bool
         The mounting comes from an adjustment.
+    tools : Tools
+        `vertex_estimation` is used.
 
     Returns
     -------
@@ -93,21 +98,25 @@ def observe_vertices(
         rows = part.returns
         inside = (rows.gps_time_s >= trajectory.gps_time_s[0]) & (rows.gps_time_s <= trajectory.gps_time_s[-1])
         time = rows.gps_time_s[inside]
-        vertex = find_vertex(
-            corrected_points(
-                lidar_points(rows.xyz_m[inside], time, trajectory, data.rig, world_frame), data.range_correction
-            ),
-            time,
-            rows.number_of_returns[inside] <= 1,
-            model=models[target],
-            trajectory=trajectory,
-            mounting=body_from_lidar,
-            world_frame=world_frame,
-            lidar=data.lidar,
-            sortie=sortie,
-            strip=strip,
-            located=located,
-        )
+        points = lidar_points(rows.xyz_m[inside], time, trajectory, data.rig, world_frame)
+        vertex: VertexObservation | str
+        try:
+            vertex = find_vertex(
+                corrected_points(points, data.range_correction),
+                time,
+                rows.number_of_returns[inside] <= 1,
+                model=models[target],
+                trajectory=trajectory,
+                mounting=body_from_lidar,
+                world_frame=world_frame,
+                lidar=data.lidar,
+                sortie=sortie,
+                strip=strip,
+                located=located,
+                estimate=tools.vertex_estimation,
+            )
+        except AlgorithmFailure as error:
+            vertex = str(error)
         if isinstance(vertex, VertexObservation):
             found.append(vertex)
         else:
@@ -170,6 +179,7 @@ def observe_marks(
     body_from_camera: Mounting,
     search_px: float,
     picked: Sequence[CameraObservation] = (),
+    tools: Tools = OWN_TOOLS,
 ) -> tuple[list[MarkObservation], dict[str, str]]:
     """Marks of every frustum target in one image (9.3.2 e).
 
@@ -184,6 +194,8 @@ def observe_marks(
         How far a mark may be from its predicted place. [px]
     picked : sequence of CameraObservation
         Pixels that a person gave: taken where the campaign has them, for the targets they name.
+    tools : Tools
+        `mark_finding` is used.
 
     Returns
     -------
@@ -212,11 +224,26 @@ def observe_marks(
             view = mark_view(model, radius, camera, lens, body_from_camera, sortie, exposure, world_frame)
             if view is None:
                 continue
-            found = find_mark(grey, view, search_px, clipped_at=0.995 * (2.0**camera.bit_depth - 1.0))
+            try:
+                found = tools.mark_finding(
+                    MarkTask(
+                        grey=grey,
+                        predicted_px=view.predicted_px,
+                        search_radius_px=search_px,
+                        px_per_m=view.px_per_m,
+                        radius_m=view.radius_m,
+                        sheets_m=view.sheets_m,
+                        eye_m=view.eye_m,
+                        to_sun=view.to_sun,
+                        clipped_at=0.995 * (2.0**camera.bit_depth - 1.0),
+                    )
+                )
+            except AlgorithmFailure as error:
+                found = str(error)
             if isinstance(found, str):
                 reasons[f"{target.id}, {exposure.image}"] = found
                 continue
-            uv, covariance, radius_px = found.uv_px, found.covariance_px2, found.radius_px
+            uv, covariance, radius_px = found.uv_px, found.covariance_px2, mark_radius_px(view)
         marks.append(
             MarkObservation(
                 target=target.id,
@@ -314,7 +341,10 @@ class GeometryResult:
 
 
 def solve_geometry(
-    data: CampaignData, marks: Sequence[MarkObservation], returns: Mapping[tuple[int, int, str], TargetReturns]
+    data: CampaignData,
+    marks: Sequence[MarkObservation],
+    returns: Mapping[tuple[int, int, str], TargetReturns],
+    tools: Tools = OWN_TOOLS,
 ) -> GeometryResult:
     """Both mountings. Vertices are found twice: with the drawing's mounting, then with the first solution's, so that the
     sensor's motion while it scans a target is turned by the right mounting. With that mounting the panels' planes are found; where
@@ -327,19 +357,24 @@ def solve_geometry(
     """
     if data.rig is None:
         raise EvaluationError("no sensors/rig.json")
-    vertices, reasons = observe_vertices(data, returns, nominal_mountings(data.rig)[1])
+    solve = mountings_solver(tools)
+    vertices, reasons = observe_vertices(data, returns, nominal_mountings(data.rig)[1], tools=tools)
     if not vertices:
         what = next(iter(reasons.values()), "no strip passed over a frustum target")
         raise EvaluationError(f"no frustum target has a vertex: {what}")
-    first = solve_mountings(build_problem(data, marks, vertices))
-    vertices, reasons = observe_vertices(data, returns, first.body_from_lidar, located=True)
+    first = solve(build_problem(data, marks, vertices))
+    vertices, reasons = observe_vertices(data, returns, first.body_from_lidar, located=True, tools=tools)
     problem = build_problem(data, marks, vertices)
-    solution = solve_mountings(problem, start=first.parameters)
+    solution = solve(problem, start=first.parameters)
     alone = GeometryResult(problem=problem, solution=solution, vertices=tuple(vertices), vertex_reasons=reasons)
-    return with_planes(data, alone, observe_planes(data, returns, solution.body_from_lidar))
+    if tools.extrinsic_solver is not None:  # it takes marks and vertices; what it did not use is not said to agree
+        return alone
+    return with_planes(data, alone, observe_planes(data, returns, solution.body_from_lidar), solve)
 
 
-def with_planes(data: CampaignData, alone: GeometryResult, found: PlanesFound) -> GeometryResult:
+def with_planes(
+    data: CampaignData, alone: GeometryResult, found: PlanesFound, solve: Solve = solve_mountings
+) -> GeometryResult:
     """The adjustment with the panels' planes beside what `alone` used; `alone` where there are none, or where they as a whole
     contradict the vertices (heights surveyed to another face, say), which is then named."""
     alone = replace(alone, plane_reasons=found.missing)
@@ -348,7 +383,7 @@ def with_planes(data: CampaignData, alone: GeometryResult, found: PlanesFound) -
     problem = build_problem(data, alone.problem.marks, alone.problem.vertices, found.planes)
     panels = len({o.panel for o in found.planes})
     try:
-        solution = solve_mountings(problem, start=alone.solution.parameters)
+        solution = solve(problem, start=alone.solution.parameters)
         doubt = contradiction(solution)
     except EvaluationError as error:
         doubt = str(error)

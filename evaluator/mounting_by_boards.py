@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from evaluator.algorithms.record import OWN_TOOLS, Tools
+from evaluator.algorithms.solvers import board_task, board_xi
 from evaluator.board_blunders import (
     LEAST_BOARDS,
     BoardFitted,
@@ -296,8 +298,37 @@ def solve_board_problem(problem: BoardProblem, views: Views, observations: list[
     )
 
 
+def _as_answered(
+    problem: BoardProblem, views: Views, observations: list[BoardObservation], xi: np.ndarray, covariance: np.ndarray
+) -> BoardMounting:
+    """xi and its covariance by a solver that is not ours, with the residuals of (11) that they leave."""
+    residual = np.array([o.uv_px for o in observations], dtype=np.float64) - remap(problem, views, xi).uv_px
+    if not np.isfinite(residual).all():
+        raise EvaluationError("the mounting that was found puts a board outside the camera's field")
+    return BoardMounting(
+        names=NAMES,
+        parameters=xi,
+        covariance=covariance,
+        prior_std=problem.prior_std,
+        not_determined=(),
+        rejected=(),
+        swapped=(),
+        residuals=tuple(
+            BoardResidual(target=o.target, sortie=o.sortie, image=o.image, residual_px=r, adjusted_px=r, used=True)
+            for o, r in zip(observations, residual, strict=True)
+        ),
+        sigma0=float("nan"),
+        redundancy=2 * len(observations) - 6,
+        iterations=0,
+        boards=problem.boards,
+    )
+
+
 def solve_by_boards(
-    data: CampaignData, observations: list[BoardObservation], reasons: Mapping[str, str] | None = None
+    data: CampaignData,
+    observations: list[BoardObservation],
+    reasons: Mapping[str, str] | None = None,
+    tools: Tools = OWN_TOOLS,
 ) -> BoardMounting:
     """The camera's mounting from the boards' centres in all images.
 
@@ -309,6 +340,8 @@ def solve_by_boards(
     reasons : mapping, optional
         "target, image" -> why there is no centre, of all images, from `observe_boards`: boards that were never found are then
         named in the result, swapped ones as such.
+    tools : Tools
+        `mounting_solver` is used.
 
     Returns
     -------
@@ -324,7 +357,11 @@ def solve_by_boards(
     The patent's steps S3 to S7; W. Baarda, A testing procedure for use in geodetic networks, 1968.
     """
     problem, views = build_board_problem(data, observations)
-    found = solve_board_problem(problem, views, observations)
+    if tools.mounting_solver is None:
+        found = solve_board_problem(problem, views, observations)
+    else:
+        answer = tools.mounting_solver(board_task(problem, views, observations))
+        found = _as_answered(problem, views, observations, *board_xi(problem, answer))
     not_found = boards_not_found(reasons or {}, observations)
     pairs = swapped_by_azimuth(not_found)
     lines = [f"{a} and {b} are swapped: each stands at the other's azimuth" for a, b in pairs]

@@ -117,6 +117,7 @@ class Evaluation:
     closure: Mapping[str, object] = field(default_factory=dict)  # camera-body and LiDAR-body against camera-LiDAR
     deviations: tuple[Deviation, ...] = ()  # what was stated against what was found
     survey_doubts: tuple[str, ...] = ()  # targets whose surveyed place the observations contradict
+    algorithms: Mapping[str, str] = field(default_factory=dict)  # slot -> name of what is not the evaluator's own
 
     @property
     def root(self) -> Path | None:
@@ -339,6 +340,7 @@ def build_results(evaluation: Evaluation) -> dict[str, Any]:
             "mounting": mounting_block(evaluation),
             "diagnosis": diagnosis_block(evaluation.deviations, evaluation.survey_doubts),
             "problems": evaluation.problems,
+            **({"algorithms": evaluation.algorithms} if evaluation.algorithms else {}),
         },
         evaluation.root,
     )

@@ -3,10 +3,12 @@
 import numpy as np
 
 from campaign.las import StripReader
+from evaluator.algorithms.record import OWN_TOOLS, Tools
+from evaluator.algorithms.slots import AlgorithmFailure, EchoTask
 from evaluator.georeference import TargetReturns
 from evaluator.model import CampaignData
 from evaluator.observe.panels import LidarPanelObservation
-from evaluator.observe.waveforms import FWHM_PER_SIGMA, decompose
+from evaluator.observe.waveforms import FWHM_PER_SIGMA
 from evaluator.results import WaveformExample
 
 _FINE = 8  # points of the drawn fit a sample
@@ -16,6 +18,7 @@ def waveform_examples(
     data: CampaignData,
     returns: dict[tuple[int, int, str], TargetReturns],
     observations: list[LidarPanelObservation],
+    tools: Tools = OWN_TOOLS,
 ) -> list[WaveformExample]:
     """The packet nearest to the panel's mean amplitude, of the first panel of each nominal class that has waveforms."""
     nominal = {t.id: t.nominal_reflectance_percent for t in data.targets if t.kind == "panel"}
@@ -33,11 +36,21 @@ def waveform_examples(
         reader = StripReader(folders[o.sortie].strip_las(o.strip))
         sampling_ns = reader.sampling_ps / 1000.0
         samples = reader.waveforms(rows.packet[row : row + 1])[0].astype(np.float64)
-        echoes = decompose(samples[None], sampling_ns, echo_fwhm_ns=data.lidar.echo_fwhm_ns)
+        width = data.lidar.echo_fwhm_ns
+        task = EchoTask(
+            samples_dn=samples[None], sampling_ns=sampling_ns, echo_fwhm_ns=width, saturation_dn=float("inf")
+        )
+        try:
+            echoes = tools.echo_decomposition(task)
+        except AlgorithmFailure:
+            continue
+        base = np.median(samples) if echoes.baseline_dn is None else echoes.baseline_dn[0]
+        widths = np.full(echoes.centre_ns.size, np.nan) if echoes.fwhm_ns is None else echoes.fwhm_ns
         time = np.arange(samples.size) * sampling_ns
         fine = np.arange(samples.size * _FINE) * (sampling_ns / _FINE)
-        fit = np.full(fine.size, echoes.packet_baseline_dn[0])
-        for amplitude, centre, fwhm in zip(echoes.amplitude_dn, echoes.centre_ns, echoes.fwhm_ns, strict=True):
+        fit = np.full(fine.size, base)
+        for amplitude, centre, fwhm in zip(echoes.amplitude_dn, echoes.centre_ns, widths, strict=True):
+            fwhm = fwhm if np.isfinite(fwhm) else width
             fit += amplitude * np.exp(-0.5 * ((fine - centre) * FWHM_PER_SIGMA / fwhm) ** 2)
         found[level] = WaveformExample(
             label=f"{o.panel}, {level:g} %",

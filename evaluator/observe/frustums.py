@@ -5,6 +5,7 @@ through the trajectory and an approximate mounting; the result goes back to the 
 passed the vertex, where the approximate mounting cancels. Marks in images live in `marks`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from campaign.sensors import LidarSheet
 from campaign.survey import SurveyedTarget
 from campaign.trajectory import Trajectory
+from evaluator.algorithms.slots import FoundVertex, VertexTask
 from evaluator.frames import WorldFrame, body_pose, euler_rotation
 from evaluator.model import Mounting, VertexObservation
 
@@ -184,68 +186,40 @@ def _weighted_step(
     return covariance @ right, covariance
 
 
-def find_vertex(
-    p_lidar_m: np.ndarray,
-    gps_time_s: np.ndarray,
-    single_return: np.ndarray,
-    *,
-    model: FrustumModel,
-    trajectory: Trajectory,
-    mounting: Mounting,
-    world_frame: WorldFrame,
-    lidar: LidarSheet,
-    sortie: int,
-    strip: int,
-    located: bool = False,
-) -> VertexObservation | str:
-    """Vertex of the stated faces from one strip.
+def fit_vertex(task: VertexTask) -> FoundVertex | str:
+    """Vertex of the stated faces, all planes through one point, residuals along the ray.
 
     Every face plane is fitted with its residuals along the ray, since the noise of a range lies along its beam (orthogonal
     residuals bring the vertex 7 mm too low at 10 mm of noise); all planes pass one point by construction. The faces' angles
     are observations of 0.1 degrees about the standard's, the whole body is free to turn.
 
-    Parameters
-    ----------
-    p_lidar_m : (n, 3) np.ndarray
-        Returns near the target, each in the LiDAR frame at its own time. [m]
-    gps_time_s : (n,) np.ndarray
-    single_return : (n,) np.ndarray of bool
-        The pulse's only return; others may be mixed with an edge and are left out.
-    model : FrustumModel
-    trajectory, mounting, world_frame
-        Approximate georeferencing; the mounting may be off by 2 degrees.
-    lidar : LidarSheet
-        Precision, encoder noise and divergence.
-    sortie, strip : int
-    located : bool
-        The mounting is known to a few hundredths of a degree already: begin at the surveyed place, without a search.
-
     Returns
     -------
-    VertexObservation, or a line that says why there is none.
+    FoundVertex, or a line that says why there is none.
 
     References
     ----------
     GB/T 41450-2022, 9.3.2 d.
     """
-    if len(p_lidar_m) < _LEAST_FACES * _LEAST_POINTS:
-        return f"{len(p_lidar_m)} returns near the target"
-    to_target = model.world_from_target
-    position, world_from_body = body_pose(trajectory, gps_time_s, world_frame)
-    origin = position + world_from_body @ mounting.lever_arm_m - model.vertex_world_m
-    arm = np.einsum("nij,nj->ni", world_from_body @ mounting.rotation, p_lidar_m)
-    distance = np.linalg.norm(arm, axis=1)
-    rays = _Rays(origin_m=origin @ to_target, direction=(arm / distance[:, None]) @ to_target, range_m=distance)
-    scale = 2.0 if lidar.divergence_definition == "1/e2" else 2.0 / 0.5887  # two standard widths, 1/e2 full angle
-    footprint = 0.5 * scale * lidar.divergence_rad * float(np.median(distance))
+    model = FrustumModel(
+        target="",
+        vertex_world_m=np.zeros(3),
+        world_from_target=np.eye(3),
+        long_edge_m=task.long_edge_m,
+        inverted=task.inverted,
+        thickness_m=task.thickness_m,
+        face_angle_std_rad=task.face_angle_std_rad,
+    )
+    rays = _Rays(origin_m=task.origin_m, direction=task.direction, range_m=task.range_m)
+    footprint, single_return = task.footprint_m, task.single_return
     if 1.2 * footprint >= 0.25 * model.long_edge_m:
         return f"footprint of {footprint:.3f} m on faces {0.25 * model.long_edge_m:.3f} m wide"
-    vertex, count = (np.zeros(3), len(p_lidar_m)) if located else _coarse(rays.points, model)
+    vertex, count = (np.zeros(3), len(rays.range_m)) if task.located else _coarse(rays.points, model)
     if count < _LEAST_FACES * _LEAST_POINTS:
         return f"no funnel found: {max(count, 0)} returns on its faces"
 
     planes = _Planes(vertex=vertex, turn=np.zeros(3), tilt=np.zeros((4, 2)))
-    encoder = np.radians(lidar.encoder_std_deg) * distance
+    encoder = task.encoder_std_rad * rays.range_m
     covariance = np.zeros((14, 14))
     gate = 0.10 * model.long_edge_m
     for iteration in range(14):
@@ -256,7 +230,7 @@ def find_vertex(
             return f"{use.size} clean returns on the faces"
         part = _Rays(origin_m=rays.origin_m[use], direction=rays.direction[use], range_m=rays.range_m[use])
         residual, design, tangent = _residuals(part, face[use], planes, model)
-        std = np.hypot(lidar.precision_m, encoder[use] * tangent)
+        std = np.hypot(task.range_std_m, encoder[use] * tangent)
         keep = np.abs(residual) < np.maximum(gate, 4.0 * std)
         if keep.sum() < _LEAST_FACES * _LEAST_POINTS:
             return f"{int(keep.sum())} returns fit the faces"
@@ -282,19 +256,98 @@ def find_vertex(
     redundancy = max(after.size - 3.0 - 2.0 * seen, 1.0)
     factor = (_REDUNDANCY_OF_SHEET + float(np.sum((after / used_std) ** 2))) / (_REDUNDANCY_OF_SHEET + redundancy)
     if factor > 36.0:
-        return f"residuals of {rms:.3f} m against a precision of {lidar.precision_m:.3f} m"
+        return f"residuals of {rms:.3f} m against a precision of {task.range_std_m:.3f} m"
     turn_deg = float(np.degrees(np.linalg.norm(planes.turn)))
     if turn_deg > 6.0:
         return f"the faces stand {turn_deg:.1f} degrees off the stated ones"
+    return FoundVertex(
+        vertex_m=planes.vertex,
+        covariance_m2=covariance[:3, :3],
+        used=use[keep],
+        faces=seen,
+        rms_m=rms,
+        variance_factor=factor,
+    )
+
+
+def find_vertex(
+    p_lidar_m: np.ndarray,
+    gps_time_s: np.ndarray,
+    single_return: np.ndarray,
+    *,
+    model: FrustumModel,
+    trajectory: Trajectory,
+    mounting: Mounting,
+    world_frame: WorldFrame,
+    lidar: LidarSheet,
+    sortie: int,
+    strip: int,
+    located: bool = False,
+    estimate: Callable[[VertexTask], FoundVertex | str] = fit_vertex,
+) -> VertexObservation | str:
+    """Vertex of the stated faces from one strip: into the target's frame, the estimate, back to the LiDAR's.
+
+    Parameters
+    ----------
+    p_lidar_m : (n, 3) np.ndarray
+        Returns near the target, each in the LiDAR frame at its own time. [m]
+    gps_time_s : (n,) np.ndarray
+    single_return : (n,) np.ndarray of bool
+        The pulse's only return; others may be mixed with an edge and are left out.
+    model : FrustumModel
+    trajectory, mounting, world_frame
+        Approximate georeferencing; the mounting may be off by 2 degrees.
+    lidar : LidarSheet
+        Precision, encoder noise and divergence.
+    sortie, strip : int
+    located : bool
+        The mounting is known to a few hundredths of a degree already: begin at the surveyed place, without a search.
+    estimate : callable
+        What finds the vertex among the returns: the algorithm of the slot `vertex_estimation`.
+
+    Returns
+    -------
+    VertexObservation, or a line that says why there is none.
+
+    References
+    ----------
+    GB/T 41450-2022, 9.3.2 d.
+    """
+    if len(p_lidar_m) < _LEAST_FACES * _LEAST_POINTS:
+        return f"{len(p_lidar_m)} returns near the target"
+    to_target = model.world_from_target
+    position, world_from_body = body_pose(trajectory, gps_time_s, world_frame)
+    origin = position + world_from_body @ mounting.lever_arm_m - model.vertex_world_m
+    arm = np.einsum("nij,nj->ni", world_from_body @ mounting.rotation, p_lidar_m)
+    distance = np.linalg.norm(arm, axis=1)
+    scale = 2.0 if lidar.divergence_definition == "1/e2" else 2.0 / 0.5887  # two standard widths, 1/e2 full angle
+    task = VertexTask(
+        origin_m=origin @ to_target,
+        direction=(arm / distance[:, None]) @ to_target,
+        range_m=distance,
+        single_return=single_return,
+        long_edge_m=model.long_edge_m,
+        inverted=model.inverted,
+        thickness_m=model.thickness_m,
+        normals=model.normals,
+        face_angle_std_rad=model.face_angle_std_rad,
+        range_std_m=lidar.precision_m,
+        encoder_std_rad=float(np.radians(lidar.encoder_std_deg)),
+        footprint_m=0.5 * scale * lidar.divergence_rad * float(np.median(distance)),
+        located=located,
+    )
+    found = estimate(task)
+    if isinstance(found, str):
+        return found
 
     # the instant at which the beam passed the vertex: there the approximate mounting drops out to first order
-    at = part.points[keep] - planes.vertex
-    times = gps_time_s[use][keep]
+    at = task.points_m[found.used] - found.vertex_m
+    times = gps_time_s[found.used]
     start = float(times.mean())
     line, *_ = np.linalg.lstsq(np.column_stack([np.ones(len(at)), at[:, :2]]), times - start, rcond=None)
     when = float(np.clip(start + line[0], times.min(), times.max()))
     there, turned = body_pose(trajectory, np.array([when]), world_frame)
-    in_world = model.vertex_world_m + to_target @ planes.vertex
+    in_world = model.vertex_world_m + to_target @ found.vertex_m
     in_lidar = mounting.rotation.T @ (turned[0].T @ (in_world - there[0]) - mounting.lever_arm_m)
     lidar_from_target = mounting.rotation.T @ turned[0].T @ to_target
     return VertexObservation(
@@ -304,9 +357,15 @@ def find_vertex(
         gps_time_s=when,
         time_spread_s=float(times.max() - times.min()),
         point_lidar_m=in_lidar,
-        covariance_m2=lidar_from_target @ covariance[:3, :3] @ lidar_from_target.T * factor,
-        faces=seen,
-        points=int(keep.sum()),
-        rms_m=rms,
-        index=use[keep],
+        covariance_m2=lidar_from_target @ found.covariance_m2 @ lidar_from_target.T * found.variance_factor,
+        faces=found.faces if found.faces is not None else _faces_of(at),
+        points=len(found.used),
+        rms_m=found.rms_m if found.rms_m is not None else float("nan"),
+        index=found.used,
     )
+
+
+def _faces_of(relative_m: np.ndarray) -> int:
+    """On how many faces at least `_LEAST_POINTS` of these returns (n, 3) lie, relative to the vertex."""
+    face = np.argmax(relative_m[:, :2] @ _AZIMUTHS.T, axis=1)
+    return int(np.sum(np.bincount(face, minlength=4) >= _LEAST_POINTS))

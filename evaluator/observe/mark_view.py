@@ -30,6 +30,11 @@ class MarkView:
     to_sun: np.ndarray | None  # (3,) unit, target frame; None: no sun
 
 
+def mark_radius_px(view: MarkView) -> float:
+    """Mean radius of the mark in the image. [px]"""
+    return view.radius_m * float(np.sqrt(abs(np.linalg.det(view.px_per_m))))
+
+
 def _outlines(points_m: np.ndarray, view: MarkView, size: int, half: float) -> list[np.ndarray]:
     """Outlines (k, 2) of slabs (q, 8, 2) on the plate, at fine coordinates, of those that may meet the mark."""
     fine = (points_m @ view.px_per_m.T + half) * FINE - 0.5

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.signal
 
-from evaluator.observe.mark_view import FINE, Maps, MarkView, appearance, centre_hidden
+from evaluator.observe.mark_view import FINE, Maps, MarkView, appearance, centre_hidden, mark_radius_px
 
 _EDGE_STD = np.radians(2.0)  # direction of each edge against the predicted one
 _SHADE_SHARE, _SHADE_STD = 0.28, 0.12  # light in the shade over light in the sun: sky, and sunlit faces
@@ -128,7 +128,7 @@ def _refine(samples: _Samples, maps: Maps, view: MarkView, start: np.ndarray, it
         centre=start, edges=np.zeros(2), covariance=np.eye(2), coefficients=np.zeros(4), rms=np.inf, pixels=0
     )
     inverse = np.linalg.inv(view.px_per_m)
-    radius = view.radius_m * float(np.sqrt(abs(np.linalg.det(view.px_per_m))))
+    radius = mark_radius_px(view)
     for _ in range(iterations):
         plate = (samples.uv - state.centre) @ inverse.T
         shear = np.array([[1.0, -state.edges[0]], [state.edges[1], 1.0]])
@@ -229,7 +229,7 @@ def find_mark(
     ----------
     GB/T 41450-2022, 9.3.2 e.
     """
-    radius_px = view.radius_m * float(np.sqrt(abs(np.linalg.det(view.px_per_m))))
+    radius_px = mark_radius_px(view)
     if radius_px < 4.0:
         return f"mark of {radius_px:.1f} px radius, 4 px are needed"
     if centre_hidden(view):

@@ -4,7 +4,7 @@ A panel is searched where the survey and the mounting put it; without a mounting
 height and amplitude against what surrounds it. Panels in images: `panel_images.py`. Reflectance is computed by 8.1 and 8.3.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,10 +14,11 @@ from campaign.errors import CampaignError
 from campaign.las import StripReader
 from campaign.sensors import LidarSheet
 from campaign.survey import SurveyedTarget
+from evaluator.algorithms.record import OWN_TOOLS, Tools
+from evaluator.algorithms.slots import AlgorithmFailure, EchoTask, FoundEchoes, FoundPanel, PanelTask
 from evaluator.frames import WorldFrame
 from evaluator.georeference import TargetReturns, corrected_points, lidar_points, nominal_mountings, world_points
 from evaluator.model import CampaignData, EvaluationError, Mounting
-from evaluator.observe.waveforms import decompose
 
 _MIN_RETURNS = 5
 _HEIGHT_WINDOW_M = 0.06  # about the panel's median height; panels stand higher than this above the ground
@@ -164,6 +165,7 @@ def lidar_panel_observations(
     data: CampaignData,
     returns: Mapping[tuple[int, int, str], TargetReturns],
     body_from_lidar: Mounting | None,
+    tools: Tools = OWN_TOOLS,
 ) -> list[LidarPanelObservation]:
     """Every panel in every strip, sorted by sortie, strip and panel.
 
@@ -174,6 +176,8 @@ def lidar_panel_observations(
         From `georeference.collect_target_returns`, about the panels; other targets are passed over.
     body_from_lidar : Mounting or None
         The solved mounting. None: the nominal one, and each panel is searched by contrast.
+    tools : Tools
+        `panel_finding` and `echo_decomposition` are used; a panel, or a strip's waveforms, on which one fails is left out.
 
     Raises
     ------
@@ -201,13 +205,48 @@ def lidar_panel_observations(
                 )
                 world = world_points(p_lidar, rows.gps_time_s, sortie.trajectory, mounting, frame)
                 origin = world_points(np.zeros_like(p_lidar), rows.gps_time_s, sortie.trajectory, mounting, frame)
-                on = returns_on_panel(
-                    key, panels[name], returns[key], world, origin, data.lidar, frame, body_from_lidar is None
-                )
+                searched = body_from_lidar is None
+                rows_of = returns[key]
+                try:
+                    on = returns_on_panel(
+                        key, panels[name], rows_of, world, origin, data.lidar, frame, searched, tools.panel_finding
+                    )
+                except AlgorithmFailure:  # counted and named where it failed
+                    continue
                 if on is not None:
                     chosen.append(on)
-            found += _strip_observations(data, sortie.folder.strip_las(strip), chosen, returns)
+            found += _strip_observations(data, sortie.folder.strip_las(strip), chosen, returns, tools)
     return found
+
+
+def find_on_panel(task: PanelTask) -> FoundPanel | str:
+    """The returns on one panel, where it is predicted or, with `searched`, where its contrast puts it near there.
+
+    The beam's footprint (full width at 1/e^2, stretched by incidence) and the residual error of place keep `clear` off the rim.
+    """
+    local = task.points_m
+    shift = np.zeros(2)
+    if task.searched:
+        result = find_panel_shift(local, task.amplitude_dn, task.size_m)
+        if result is None:
+            return "nothing stands out near its predicted place"
+        shift = result
+    offset = np.abs(local[:, :2] - shift)
+    half = 0.5 * task.size_m
+    whole = np.all(offset <= half, axis=1)
+    core = np.all(offset <= 0.5 * half, axis=1)
+    if core.sum() < _MIN_RETURNS:
+        return f"{core.sum()} returns on its inner half"
+    height = float(np.median(local[core, 2]))
+    level = np.abs(local[:, 2] - height) <= _HEIGHT_WINDOW_M
+    margin = 0.75 * task.divergence_rad * task.range_m / np.maximum(task.cos_incidence, 0.1) + (
+        0.12 if task.searched else 0.05
+    )
+    clear = np.all(offset <= (half - np.minimum(margin, 0.6 * half))[:, None], axis=1)
+    index = np.flatnonzero(clear & level & task.single_return)
+    if index.size < _MIN_RETURNS:
+        return f"{index.size} returns wholly on it"
+    return FoundPanel(inside=np.flatnonzero(whole & level), clear=index, shift_m=shift, height_m=height)
 
 
 def returns_on_panel(
@@ -219,15 +258,11 @@ def returns_on_panel(
     lidar: LidarSheet,
     frame: WorldFrame,
     searched: bool,
+    find: Callable[[PanelTask], FoundPanel | str] = find_on_panel,
 ) -> OnPanel | None:
+    """One strip's returns on one panel, by a person's pick or by `find`, the algorithm of the slot `panel_finding`."""
     centre, axes = panel_axes_world(panel, frame)
     local = (world_m - centre) @ axes.T
-    shift = np.zeros(2)
-    if searched and rows.picked_by != "person":
-        result = find_panel_shift(local, rows.returns.amplitude, panel.size_m)
-        if result is None:
-            return None
-        shift = result
     ray = origin_m - world_m
     range_m = np.linalg.norm(ray, axis=1)
     cosine = (ray @ axes[2]) / np.maximum(range_m, 1e-9)
@@ -241,31 +276,34 @@ def returns_on_panel(
             height_above_m=float(np.mean(ray @ axes[2])),
             offset_m=(0.0, 0.0, float(np.median(local[:, 2]))),
         )
-    offset = np.abs(local[:, :2] - shift)
-    half = 0.5 * panel.size_m
-    whole = np.all(offset <= half, axis=1)
-    core = np.all(offset <= 0.5 * half, axis=1)
-    if core.sum() < _MIN_RETURNS:
+    found = find(
+        PanelTask(
+            points_m=local,
+            amplitude_dn=rows.returns.amplitude,
+            range_m=range_m,
+            cos_incidence=cosine,
+            single_return=(rows.returns.return_number == 1) & (rows.returns.number_of_returns <= 1),
+            size_m=panel.size_m,
+            divergence_rad=lidar.divergence_rad * (1.7 if lidar.divergence_definition == "fwhm" else 1.0),
+            searched=searched,
+        )
+    )
+    if isinstance(found, str) or len(found.clear) < _MIN_RETURNS:
         return None
-    height = float(np.median(local[core, 2]))
-    level = np.abs(local[:, 2] - height) <= _HEIGHT_WINDOW_M
-    # The beam's footprint (full width at 1/e^2, stretched by incidence) and the residual error of place keep off the rim.
-    width = lidar.divergence_rad * (1.7 if lidar.divergence_definition == "fwhm" else 1.0)
-    margin = 0.75 * width * range_m / np.maximum(cosine, 0.1) + (0.12 if searched else 0.05)
-    clear = np.all(offset <= (half - np.minimum(margin, 0.6 * half))[:, None], axis=1)
-    single = (rows.returns.return_number == 1) & (rows.returns.number_of_returns <= 1)
-    index = np.flatnonzero(clear & level & single)
-    if index.size < _MIN_RETURNS:
-        return None
-    along = shift @ axes[:2]
+    index = found.clear
+    along = found.shift_m @ axes[:2]
     return OnPanel(
         key=key,
         index=index,
-        points=int(np.sum(whole & level)),
+        points=len(found.inside),
         range_m=range_m[index],
         cos_incidence=cosine[index],
         height_above_m=float(np.mean(ray[index] @ axes[2])),
-        offset_m=(float(along[0]), float(along[1]), height),
+        offset_m=(
+            float(along[0]),
+            float(along[1]),
+            float(np.median(local[index, 2])) if found.height_m is None else found.height_m,
+        ),
     )
 
 
@@ -274,6 +312,7 @@ def _strip_observations(
     las: Path,
     chosen: Sequence[OnPanel],
     returns: Mapping[tuple[int, int, str], TargetReturns],
+    tools: Tools,
 ) -> list[LidarPanelObservation]:
     """Decomposes the packets of one strip's panels together, then averages a panel at a time."""
     if not chosen or data.lidar is None:
@@ -285,12 +324,10 @@ def _strip_observations(
     measured = np.zeros(amplitude.size, dtype=bool)
     if (packet >= 0).any():
         try:
-            wave_amplitude, width = _amplitude_of_packets(las, packet, location_ns, data.lidar)
+            wave_amplitude, width = _amplitude_of_packets(las, packet, location_ns, data.lidar, tools)
             measured = np.isfinite(wave_amplitude)
             amplitude = np.where(measured, wave_amplitude, amplitude)
-        except (
-            CampaignError
-        ):  # a broken .wdp leaves the file's own amplitudes; 8.1 then says that waveforms are missing
+        except (CampaignError, AlgorithmFailure):  # as a broken .wdp: the file's own amplitudes; 8.1 then says so
             measured[:] = False
     heights = {(s.sortie, s.strip): s.height_m for s in data.plan.strips} if data.plan is not None else {}
     flown = float(np.round(np.mean([o.height_above_m for o in chosen])))
@@ -333,7 +370,7 @@ def _strip_observations(
 
 
 def _amplitude_of_packets(
-    las: Path, packet: np.ndarray, location_ns: np.ndarray, lidar: LidarSheet
+    las: Path, packet: np.ndarray, location_ns: np.ndarray, lidar: LidarSheet, tools: Tools
 ) -> tuple[np.ndarray, np.ndarray]:
     """Amplitude [DN] and width [ns] of the echo at each return's place in its packet; NaN where there is none."""
     reader = StripReader(las)
@@ -342,15 +379,26 @@ def _amplitude_of_packets(
     numbers = np.unique(packet[packet >= 0])
     if sampling_ns <= 0.0 or numbers.size == 0:
         return amplitude, width
-    echoes = decompose(
-        reader.waveforms(numbers),
-        sampling_ns,
-        echo_fwhm_ns=lidar.echo_fwhm_ns,
-        saturation_dn=2.0**lidar.bit_depth - 1.0,
+    echoes = tools.echo_decomposition(
+        EchoTask(
+            samples_dn=np.asarray(reader.waveforms(numbers), dtype=np.float64),
+            sampling_ns=sampling_ns,
+            echo_fwhm_ns=lidar.echo_fwhm_ns,
+            saturation_dn=2.0**lidar.bit_depth - 1.0,
+        )
     )
     if echoes.packet.size == 0:
         return amplitude, width
-    row = np.searchsorted(numbers, packet)
+    nearest = nearest_echo(echoes, np.searchsorted(numbers, packet), location_ns, lidar.echo_fwhm_ns)
+    hit = (packet >= 0) & (nearest >= 0)
+    amplitude[hit] = echoes.amplitude_dn[nearest[hit]]
+    if echoes.fwhm_ns is not None:
+        width[hit] = echoes.fwhm_ns[nearest[hit]]
+    return amplitude, width
+
+
+def nearest_echo(echoes: FoundEchoes, row: np.ndarray, location_ns: np.ndarray, within_ns: float) -> np.ndarray:
+    """(n,) index of the echo nearest in time to each place in a packet `row`, -1 where none is within `within_ns`."""
     # Echoes are sorted by packet and time: the nearest in time of the same packet stands left or right of the place.
     span = 1e7
     keys = echoes.packet * span + echoes.centre_ns
@@ -358,7 +406,4 @@ def _amplitude_of_packets(
     right = np.clip(np.searchsorted(keys, wanted), 0, keys.size - 1)
     left = np.clip(right - 1, 0, keys.size - 1)
     nearest = np.where(np.abs(keys[left] - wanted) <= np.abs(keys[right] - wanted), left, right)
-    hit = (packet >= 0) & (np.abs(keys[nearest] - wanted) <= lidar.echo_fwhm_ns)
-    amplitude[hit] = echoes.amplitude_dn[nearest[hit]]
-    width[hit] = echoes.fwhm_ns[nearest[hit]]
-    return amplitude, width
+    return np.where(np.abs(keys[nearest] - wanted) <= within_ns, nearest, -1)
