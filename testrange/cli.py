@@ -14,7 +14,7 @@ from pathlib import Path
 from cyclopts import App, CycloptsError
 
 from campaign.errors import TestrangeError
-from testrange.commands import campaigns, faults, filing, study
+from testrange.commands import campaigns, family, faults, filing, pairs, study
 from testrange.commands.options import fail
 
 app = App(
@@ -37,6 +37,8 @@ for _command in (
     campaigns.check,
     faults.faults,
     study.study,
+    family.family,
+    pairs.pairs,
     campaigns.schema,
     filing.picture,
 ):

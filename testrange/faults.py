@@ -29,7 +29,7 @@ _LENS = (
     "image_ripple_px",
     "image_ripple_period_px",
 )
-_REACHES: dict[Part, tuple[str, ...]] = {
+REACHES: dict[Part, tuple[str, ...]] = {
     "camera": ("camera_boresight_deg", "camera_lever_arm_m", "camera_clock_s", *_LENS),
     "lidar": (
         "lidar_boresight_deg",
@@ -158,7 +158,7 @@ def _assemble(config: Config, work: Path, number: int, known: dict[tuple[Part, s
     for part in PARTS:
         if part not in config.campaign.parts:
             continue
-        key = (part, repr([getattr(config.faults, name) for name in _REACHES[part]]))
+        key = (part, repr([getattr(config.faults, name) for name in REACHES[part]]))
         if key not in known:
             place = work / f"{part}_{number:02d}"
             place.mkdir()

@@ -7,6 +7,7 @@ camera is switched on too. The stability series comes first, and one of its inte
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from scenes.sphere import build_sphere, lamp_flux_per_nm
 from simulator import sensor
 from simulator.camera import undistort
 from simulator.journal import Journal
+from simulator.kept import kept_array
 from simulator.randomness import Stream, generator
 from simulator.render.sphere import radiance_per_watt, wall_points
 
@@ -120,7 +122,11 @@ def sphere_light(config: Config, window: sensor.Window) -> SphereLight:
             remedy="a lens with less distortion at the picture's corners, or bench.sphere.window_px",
         )
     seed = config.seed if config.scene_seed is None else config.scene_seed
-    nodes = radiance_per_watt(scene, places, seed).reshape(down, across)
+    nodes = kept_array(
+        config.render.cache,
+        (version("testrange"), "sphere", config.bench.sphere, places, seed),
+        lambda: radiance_per_watt(scene, places, seed),
+    ).reshape(down, across)
     columns = _spline_matrix(u, window.column + 0.5 + np.arange(window.width_px))
     rows = _spline_matrix(v, window.row + 0.5 + np.arange(window.height_px))
     greatest = float(nodes.max())
