@@ -18,7 +18,7 @@ MAX_POINTS = 200_000
 _NAME = r"^[A-Za-z][A-Za-z0-9_]{0,39}$"
 _KEY = r"^[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*$"
 _CALLABLE = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*$"
-RESERVED = frozenset({"id", "row", "replicate", "seed", "status", "reason", "run_time_s", "settings", "versions"})
+RESERVED = frozenset({"id", "row", "replicate", "seed", "status", "reason", "run_time_s", "settings", "versions", "geometry"})
 
 
 class StudyError(TestrangeError):
@@ -119,8 +119,9 @@ class Study(Model):
         names = [f.name for f in self.factor]
         if len(set(names)) < len(names):
             raise ValueError("two factors have the same name")
-        if len(set(self.responses)) < len(self.responses):
-            raise ValueError("a response is named twice")
+        columns = [r.removeprefix("indicators.") for r in self.responses]
+        if len({*columns, *names, *RESERVED}) < len(columns) + len(names) + len(RESERVED):
+            raise ValueError("a response is named twice, or as a factor or another column of the table")
         if self.design in SAMPLED:
             for factor in self.factor:
                 if factor.range is None:

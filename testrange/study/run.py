@@ -14,6 +14,7 @@ from campaign.errors import ConfigError
 from campaign.load import dump_toml, load_config
 from campaign.progress import Report, silent
 from campaign.threads import thread_count
+from evaluator.results import plain
 from testrange.study.effects import Effects, analyse
 from testrange.study.execution import store
 from testrange.study.execution.point import resolve
@@ -186,7 +187,7 @@ def _write(
     units = _units(plan, out)
     effects = analyse(plan, rows, units)
     with complete_file(out / "analysis.json") as work:
-        body = json.dumps([e.block() for e in effects], ensure_ascii=False, indent=1)
+        body = json.dumps(plain([e.block() for e in effects]), ensure_ascii=False, indent=1)
         work.write_text(body + "\n", encoding="utf-8")
     progress("table and page", 1, 2)
     page = write_page(out, plan, rows, effects)

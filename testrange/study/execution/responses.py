@@ -7,6 +7,7 @@ calibration_error_ground_m P_m of each sortie times its ground sampling distance
 results.A.B.C              any number in results.json, by its path
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -94,10 +95,18 @@ def from_callable(found: object, names: tuple[str, ...]) -> dict[str, dict[str, 
     out = {}
     for name in names:
         try:
-            out[name] = {"value": float(given[name])}
-        except (TypeError, ValueError):
+            out[name] = _finite({"value": float(given[name])})
+        except (TypeError, ValueError, OverflowError):
             raise ConfigError("the callable gave no number", where=name, got=repr(given[name])[:60]) from None
     return out
+
+
+def _finite(found: dict[str, Any]) -> dict[str, Any]:
+    """NaN and infinity are no values."""
+    value = found["value"]
+    if value is None or math.isfinite(value):
+        return found
+    return found | {"value": None, "reason": f"the value is not finite: {value}"}
 
 
 def _panel_points(what: str, counts: Mapping[str, Any]) -> dict[str, Any]:
@@ -139,4 +148,4 @@ def _path(path: str, results: Mapping[str, Any]) -> dict[str, Any]:
             return {"value": None, "reason": f"results.json has no {path}"}
     if isinstance(place, bool) or not isinstance(place, int | float):
         return {"value": None, "reason": f"{path} of results.json is no number"}
-    return {"value": float(place)}
+    return _finite({"value": float(place)})

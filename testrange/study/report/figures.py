@@ -32,7 +32,7 @@ _SHORT = {
     "failed": "failed",
 }
 _MAX_LINES = 6  # curves in one figure
-_BINS = 8  # of a scatter's mean
+_BINS = 24  # of a scatter's mean, at most
 
 
 def write_figure(place: Path, drawn: Figure) -> bytes:
@@ -105,7 +105,7 @@ def scatter(rows: Rows, effects: Effects, factor: Factor) -> Figure:
         axes.set_xscale("log")
     axes.plot(x, y, ".", color="#8a93a0", markersize=3 if len(x) < 500 else 1.5, rasterized=len(x) > 2000)
     place = np.log(x) if factor.log else x
-    edges = np.quantile(place, np.linspace(0.0, 1.0, min(_BINS, max(len(x) // 6, 1)) + 1))
+    edges = np.quantile(place, np.linspace(0.0, 1.0, min(_BINS, max(len(x) // 8, 1)) + 1))
     middle, mean, half = [], [], []
     for low, high in itertools.pairwise(edges):
         inside = (place >= low) & (place <= high)
