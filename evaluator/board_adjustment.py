@@ -180,10 +180,12 @@ def adjust(
                 break
             continue
         foreseen = float(s.lens_by_image.sum(axis=0) @ step_lens + np.sum(s.pose_right * step_pose))
-        if foreseen <= 1e-12 * s.cost + 1e-20 and damping <= 1e-3:
-            return lens, poses, s, iteration  # a full step gains nothing: here rounding decides which way the cost goes
         new_poses = moved(poses, step_pose)
         trial = normal_system(new_lens, new_poses, obs, weight)
+        if foreseen <= 1e-12 * s.cost + 1e-20 and damping <= 1e-3:
+            # A full step gains nothing: here rounding decides which way the cost goes. Parameters may still be 1e-6 of their
+            # standard deviation off; the step makes that good.
+            return (new_lens, new_poses, trial, iteration) if np.isfinite(trial.cost) else (lens, poses, s, iteration)
         if trial.cost <= s.cost * (1.0 + 1e-12):
             lens, poses, s = new_lens, new_poses, trial
             damping = max(damping * 0.1, 1e-10)

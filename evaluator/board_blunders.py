@@ -35,7 +35,7 @@ class BoardFitted:
 
 
 def gauss_newton(problem: BoardProblem, views: Views, uv: np.ndarray, start: np.ndarray) -> BoardFitted:
-    """S7: until no parameter moves by more than 1e-4 of its standard deviation."""
+    """S7: until no parameter moves by more than 1e-7 of its standard deviation."""
     xi = start.copy()
     prior = np.diag(problem.prior_std**-2.0)
     n = len(uv)
@@ -51,7 +51,7 @@ def gauss_newton(problem: BoardProblem, views: Views, uv: np.ndarray, start: np.
         covariance = np.linalg.inv(design.T @ inverse @ design + prior)
         step = covariance @ (design.T @ inverse @ residual - prior @ xi)
         xi = xi + step
-        if np.all(np.abs(step) < 1e-4 * np.sqrt(np.diag(covariance))):
+        if np.all(np.abs(step) < 1e-7 * np.sqrt(np.diag(covariance))):
             at = remap(problem, views, xi)
             return BoardFitted(
                 xi=xi,

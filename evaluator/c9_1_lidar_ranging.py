@@ -12,7 +12,7 @@ from campaign.ranging import RangingLine
 from evaluator.bench_model import PanelRange, RangingResult
 from evaluator.model import CampaignData, EvaluationError
 from evaluator.ranging_arrangement import differences_m2, in_doubt, misread
-from evaluator.ranging_fit import MIN_PANELS, adjusted_constants, constants
+from evaluator.ranging_fit import MIN_PANELS, adjusted_constants, constants, range_residuals
 from evaluator.ranging_observations import Found, lidar_covariance_m2, observe_scans, panel_ranges, station_of, unread
 from evaluator.results_model import IndicatorValue, not_measured
 from evaluator.total_station import (
@@ -34,6 +34,7 @@ __all__ = [
     "mean_range",
     "meteorological_correction",
     "range_correction_constants",
+    "range_residuals",
     "ranging_rmse",
     "relative_rmse",
     "saturation_pressure_hpa",

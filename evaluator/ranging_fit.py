@@ -32,6 +32,33 @@ class RangingFit:
     remark: str | None  # what was found and done, where the test fails
 
 
+def range_residuals(
+    measured_m: ArrayLike, reference_m: ArrayLike, additive_constant_m: float, multiplication_constant: float
+) -> np.ndarray:
+    """Residuals v = -K_2 - R_2 L + (L_true - L) of the error equations.
+
+    Parameters
+    ----------
+    measured_m, reference_m : (n,) array_like
+        Ranges by the LiDAR, L, and by the total station. [m]
+    additive_constant_m : float
+        K_2. [m]
+    multiplication_constant : float
+        R_2, dimensionless.
+
+    Returns
+    -------
+    (n,) ndarray
+        [m]
+
+    References
+    ----------
+    GB/T 41450-2022, 9.1.2 h, formula (14).
+    """
+    measured, reference = (np.asarray(x, np.float64) for x in (measured_m, reference_m))
+    return reference - measured - additive_constant_m - multiplication_constant * measured
+
+
 def constants(
     measured: np.ndarray, reference: np.ndarray, covariance_m2: ArrayLike | None
 ) -> tuple[float, float, np.ndarray]:
@@ -40,7 +67,7 @@ def constants(
     k2, r2 = gain @ (reference - measured)
     if covariance_m2 is not None:
         return float(k2), float(r2), gain @ np.asarray(covariance_m2) @ gain.T
-    residual = reference - measured - k2 - r2 * measured
+    residual = range_residuals(measured, reference, float(k2), float(r2))
     return float(k2), float(r2), gain @ gain.T * float(residual @ residual) / (len(measured) - 2)
 
 
@@ -140,5 +167,5 @@ def _one_panel(measured: np.ndarray, reference: np.ndarray, covariance: np.ndarr
 def _chi_square(measured: np.ndarray, reference: np.ndarray, covariance: np.ndarray, used: np.ndarray) -> float:
     part = covariance[np.ix_(used, used)]
     k2, r2, _ = constants(measured[used], reference[used], part)
-    residual = (reference - measured - k2 - r2 * measured)[used]
+    residual = range_residuals(measured, reference, k2, r2)[used]
     return float(residual @ np.linalg.solve(part, residual))
