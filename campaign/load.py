@@ -248,16 +248,31 @@ def json_schema() -> dict[str, Any]:
     return Config.model_json_schema()
 
 
+def _fits(path: Path, section: str) -> bool:
+    """Whether a ready-made file holds settings of that section alone: configs/sensors/ has cameras and LiDARs."""
+    field = Config.model_fields.get(section)
+    model = None if field is None else field.annotation
+    if not (isinstance(model, type) and issubclass(model, BaseModel)):
+        return True
+    return read_toml(path).keys() <= model.model_fields.keys()
+
+
 def _named(folder: str, name: object, what: str) -> Path:
-    """configs/<folder>/<name>.toml; a name is letters, digits, _ . - only, so that no path escapes."""
+    """configs/<folder>/<name>.toml; a name is letters, digits, _ . - only, so that no path escapes.
+
+    `what` is the section that the file is for, or a word for it; of the sections' files only those that fit are offered.
+    """
     place = configs_folder() / folder
-    known = sorted(p.stem for p in place.glob("*.toml")) if place.is_dir() else []
+    got = repr(name)
     if isinstance(name, str) and _NAME.fullmatch(name) and (place / f"{name}.toml").is_file():
-        return place / f"{name}.toml"
+        if _fits(place / f"{name}.toml", what):
+            return place / f"{name}.toml"
+        got += ", a file of another kind"
+    known = sorted(p.stem for p in place.glob("*.toml") if _fits(p, what)) if place.is_dir() else []
     near = difflib.get_close_matches(str(name), known, 1)
     raise ConfigError(
         f"no ready-made {what} of that name",
-        got=repr(name),
+        got=got,
         expected="one of " + ", ".join(known) if known else f"a file in configs/{folder}",
         remedy=f"did you mean {near[0]}?" if near else None,
     )

@@ -31,6 +31,9 @@ _KIND = {"multirotor": ("多旋翼", "multirotor"), "fixed_wing": ("固定翼", 
 _SEASON = {"spring": "春季", "summer": "夏季", "autumn": "秋季", "winter": "冬季"}
 _MAX_STRIPS = 400  # drawn and listed; a test has tens
 
+# The simulated platform flies level for some seconds into its first strip and out of its last one.
+_LEVEL = ("，含航线前后的平飞", ", level flight before and after the strips included")
+
 
 def build_flight_plan(data: CampaignData, results: Mapping[str, Any] | None, language: Language) -> Document:
     """The document of one campaign, flown or only planned.
@@ -117,7 +120,8 @@ def _summary(data: CampaignData, plan: FlightPlan, language: Language) -> list[B
             "飞行季节和时间",
             "season and time",
             join.join(t for t in (season, time) if t)
-            + say(language, f"，历时 {plan.duration_s / 60:.1f} min", f", for {plan.duration_s / 60:.1f} min"),
+            + say(language, f"，历时 {plan.duration_s / 60:.1f} min", f", for {plan.duration_s / 60:.1f} min")
+            + (_LEVEL[language == "en"] if data.manifest.synthetic else ""),
         ),
         ("f", "执行期限", "term of the task", plan.deadline or not_stated(language)),
         (
@@ -350,7 +354,7 @@ def _conformity(results: Mapping[str, Any] | None, language: Language) -> list[B
         Heading(text=say(language, "4　执行情况", "4  As it was flown")),
         Table(
             caption=say(language, "表 4　飞行环境、速度和航高的符合情况", "Table 4  Environment, speed and height"),
-            head=say(language, "条款|要求|实测|界限|结论", "Clause|Requirement|Measured|Limit|Status").split("|"),
+            head=say(language, "条款|要求|实测|限值|结论", "Clause|Requirement|Measured|Limit|Status").split("|"),
             rows=rows,
             widths=(0.8, 2.4, 3.0, 2.0, 0.9),
             align="clllc",

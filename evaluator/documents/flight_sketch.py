@@ -157,7 +157,7 @@ def _area(axes: Axes, data: CampaignData, plan: FlightPlan, language: Language) 
             },
         )
     for kind, marker, zh, en in (
-        ("panel", "D", "反射靶标", "reference panel"),
+        ("panel", "D", "标准反射靶标", "reference panel"),
         ("frustum", "s", "几何靶标", "geometric target"),
     ):
         points = np.array([[t.easting_m, t.northing_m] for t in data.targets if t.kind == kind]).reshape(-1, 2)

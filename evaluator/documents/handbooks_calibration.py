@@ -25,8 +25,8 @@ _WORDS = {
     "lidar_boresight": ("激光雷达安置角", "LiDAR boresight"),
     "camera_lever_arm": ("相机偏心分量", "camera lever arm"),
     "lidar_lever_arm": ("激光雷达偏心分量", "LiDAR lever arm"),
-    "camera_clock": ("相机时钟", "camera clock"),
-    "lidar_clock": ("激光雷达时钟", "LiDAR clock"),
+    "camera_clock": ("相机时钟偏差", "camera clock"),
+    "lidar_clock": ("激光雷达时钟偏差", "LiDAR clock"),
 }
 
 
@@ -154,8 +154,8 @@ def table_b2(rows: Sequence[TargetRow], language: Language) -> list[Block]:
     shown, more = cut(cells, language, "results.json")
     head = say(
         language,
-        "靶标点号|影像|激光雷达点世界坐标 m|激光雷达点像素坐标|光学遥感传感器同名点像素坐标|标定误差 pixel",
-        "Target|Image|LiDAR's point, world m|LiDAR's point, pixel|Camera's point, pixel|Error pixel",
+        "靶标点号|影像|激光雷达点世界坐标 m|激光雷达点像素坐标|光学遥感传感器同名点像素坐标|标定误差 px",
+        "Target|Image|LiDAR's point, world m|LiDAR's point, px|Camera's point, px|Error px",
     ).split("|")
     if not several:
         head.pop(1)
@@ -196,12 +196,12 @@ def per_target_table(
     total = float(sum(e.value or 0.0 for _, e in errors))
     n = len(errors)
     if p_m is None:
-        p_m = Figure(value=total / n, decimals=3, unit="pixel")
+        p_m = Figure(value=total / n, decimals=3, unit="px")
     rows: list[list[Cell]] = [[t, Figure(value=images.get(t, 0), decimals=0), e] for t, e in errors]
     rows.append(
         ["Σ", Figure(value=sum(images.get(t, 0) for t, _ in errors), decimals=0), Figure(value=total, decimals=4)]
     )
-    head = say(language, "靶标|影像数|Pᵢ pixel", "Target|Images|Pᵢ pixel").split("|")
+    head = say(language, "靶标|影像数|Pᵢ px", "Target|Images|Pᵢ px").split("|")
     third = -(-len(rows) // 3)
     blank: list[Cell] = [""] * 3
     cells = [
@@ -253,7 +253,7 @@ def _transform(results: Mapping[str, Any], solution: MountingSolution, language:
                 "表 9　转换参数（角：相对名义安置；平移 t 在相机坐标系中）",
                 "Table 9  Parameters of the transform (angles against nominal; translation t in camera axes)",
             ),
-            head=say(language, "参数|估值|标准差|单位", "Parameter|Estimate|Std. dev.|Unit").split("|"),
+            head=say(language, "参数|估计值|标准差|单位", "Parameter|Estimate|Std. dev.|Unit").split("|"),
             rows=rows,
             align="lrrc",
             small=True,
@@ -297,7 +297,7 @@ def _mounting(results: Mapping[str, Any], solution: MountingSolution, language: 
     blocks: list[Block] = [
         Table(
             caption=say(language, "表 10　安置参数（相对名义值）", "Table 10  Mounting parameters against nominal"),
-            head=say(language, "参数|估值|标准差|先验标准差|单位", "Parameter|Estimate|Std. dev.|Prior|Unit").split(
+            head=say(language, "参数|估计值|标准差|先验标准差|单位", "Parameter|Estimate|Std. dev.|Prior|Unit").split(
                 "|"
             ),
             rows=rows,
@@ -336,17 +336,17 @@ def _beside(results: Mapping[str, Any], language: Language) -> list[Block]:
     rows: list[tuple[Cell, ...]] = [(say(language, "平均标定误差 P_m", "P_m"), value_figure(results, _ID))]
     for sortie in sorted(found.get("per_sortie_px") or {}, key=int):
         label = say(language, f"第 {sortie} 架次的 P_m", f"P_m of sortie {sortie}")
-        rows.append((label, figure(results, f"{_AT}.per_sortie_px.{sortie}", 4, "pixel")))
+        rows.append((label, figure(results, f"{_AT}.per_sortie_px.{sortie}", 4, "px")))
     rows += [
         (
             say(language, "未参与求解的靶标的 P_m（交叉验证，不参与评价）", "P_m of held-out targets (not graded)"),
-            figure(results, f"{_AT}.held_out_px", 4, "pixel"),
+            figure(results, f"{_AT}.held_out_px", 4, "px"),
         ),
         (
             say(
                 language, "单一刚体变换的 P_m（9.3.2 f～i 原文，不参与评价）", "P_m of one rigid transform (not graded)"
             ),
-            figure(results, f"{_AT}.single_instant.p_m_px", 4, "pixel"),
+            figure(results, f"{_AT}.single_instant.p_m_px", 4, "px"),
         ),
     ]
     if results["indicators"][_ID]["value"] is None:

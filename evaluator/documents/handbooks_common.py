@@ -19,6 +19,7 @@ from evaluator.documents.model import (
     Paragraph,
     Signatures,
     Table,
+    printed_unit,
     say,
 )
 from evaluator.documents.model import figure as figure
@@ -91,7 +92,7 @@ def value_figure(results: Mapping[str, Any], indicator_id: str) -> Figure:
     value = block["value"]
     gap = 100.0 - value if value is not None and block["symbol"] == "r_f" else value  # 99.995 must not read 100
     decimals = shown_decimals(gap, block["unit"])
-    unit = {"% reflectance": "%"}.get(block["unit"], block["unit"])
+    unit = printed_unit(block["unit"])
     return figure(results, f"indicators.{indicator_id}.value", decimals, unit)
 
 
@@ -109,7 +110,7 @@ def missing(results: Mapping[str, Any], indicator_id: str, language: Language) -
     )
     blocks: list[Block] = [Paragraph(text=text)]
     partial = f"indicators.{indicator_id}.companions.value_on_what_is_there"
-    there = figure(results, partial, 4, {"% reflectance": "%"}.get(block["unit"], block["unit"]))
+    there = figure(results, partial, 4, printed_unit(block["unit"]))
     if there.value is not None:
         blocks.append(
             Table(

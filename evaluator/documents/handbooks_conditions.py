@@ -120,5 +120,7 @@ def _times(data: CampaignData | None, language: Language) -> str:
         return not_stated(language)
     first, last = (beijing(t, data.manifest.gps_minus_utc_s) for t in (min(ends), max(ends)))
     end = f"{last:%H:%M:%S}" if first.date() == last.date() else f"{last:%Y-%m-%d %H:%M:%S}"
-    zone = say(language, "（北京时间）", " Beijing time")
-    return f"{first:%Y-%m-%d %H:%M:%S}—{end}{zone}"
+    ends_text = say(language, f"—{end}（北京时间", f" to {end} (Beijing time")
+    flown = any(s.trajectory is not None for s in data.sorties)
+    runs = say(language, "，含航线之外的飞行", "; flight outside the strips included") if flown else ""
+    return f"{first:%Y-%m-%d %H:%M:%S}{ends_text}{runs}{say(language, '）', ')')}"

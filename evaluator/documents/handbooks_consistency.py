@@ -73,8 +73,8 @@ def _empirical_line(results: Mapping[str, Any], language: Language) -> list[Bloc
         Paragraph(
             text=say(
                 language,
-                f"影像的相对辐射校正采用经验线性法（8.3.2 g），波段 {found.get('band')}：每幅影像一个增益 g，"
-                "全部影像共用一个偏置 b，由靶标的 DN（减去暗电平）与波段反射率按最小二乘求得；每个靶标的 R₂ 为各影像的平均值。",
+                f"影像的相对辐射校正采用经验线性法（8.3.2 g），波段 {found.get('band')}：每张影像一个增益 g，"
+                "全部影像共用一个偏置 b，由靶标的 DN（减去黑电平）与波段反射率按最小二乘求得；每个靶标的 R₂ 为各影像的平均值。",
                 f"The images are corrected by the empirical line (8.3.2 g), band {found.get('band')}: a gain g for each image "
                 "and one offset b, by least squares from the panels' DN (black level subtracted) and their reflectance over the "
                 "band. R₂ of a panel is the mean over its images.",

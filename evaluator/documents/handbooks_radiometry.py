@@ -231,7 +231,7 @@ def _series(
     )
     note = say(
         language,
-        "DNᵢ 为影像中心 9 个像元的平均值，已减去暗电平。取各波段中最大者。",
+        "DNᵢ 为影像中央九个像素的平均值，已减去黑电平。取各波段中最大者。",
         "DNᵢ: mean of the image's nine central pixels, black level subtracted. The greatest band's figure counts.",
     )
     if not stable:
@@ -245,7 +245,7 @@ def _series(
         listed = "; ".join(series.left_out[:5])
         note += say(
             language,
-            f"未采用的影像 {len(series.left_out)} 幅：{listed}。",
+            f"未采用的影像 {len(series.left_out)} 张：{listed}。",
             f" Left out ({len(series.left_out)}): {listed}.",
         )
     head = [say(language, "影像", "Image"), "t s", *(f"DN {b}" for b in series.bands)]

@@ -29,7 +29,7 @@ class Figure:
         """The number with its unit; an en dash where there is none."""
         if self.value is None:
             return "–"
-        number = f"{self.value:.{self.decimals}f}".replace("-", "−")  # minus sign
+        number = f"{self.value:z.{self.decimals}f}".replace("-", "−")  # minus sign, none before a zero
         return f"{number} {self.unit}".rstrip()
 
 
@@ -114,6 +114,11 @@ class Document:
     subtitle: str = ""
     landscape: bool = False
     cover: Sequence[tuple[str, str]] = field(default=())  # label, value on a title page of its own
+
+
+def printed_unit(unit: str) -> str:
+    """A unit of results.json as it stands beside a figure."""
+    return {"% reflectance": "%", "pixel": "px"}.get(unit, unit)
 
 
 def say(language: Language, zh: str, en: str) -> str:

@@ -31,17 +31,18 @@ def day_in_words(date: str, language: Language) -> str:
 
 
 def time_in_words(time: str, language: Language) -> str:
-    """An ISO time as Beijing time, to the minute; one that cannot be read stands as it is."""
+    """An ISO time as Beijing time, to the minute, or to the second that is stated; one that cannot be read stands as it is."""
     try:
         at = datetime.datetime.fromisoformat(time)
     except ValueError:
         return time
     if at.tzinfo is not None:
         at = at.astimezone(datetime.timezone(datetime.timedelta(hours=8)))
+    clock = f"{at:%H:%M:%S}" if at.second else f"{at:%H:%M}"
     return say(
         language,
-        f"{at.year}年{at.month}月{at.day}日 {at:%H:%M}（北京时间）",
-        f"{at.day} {at.strftime('%B')} {at.year}, {at:%H:%M} Beijing time",
+        f"{at.year}年{at.month}月{at.day}日 {clock}（北京时间）",
+        f"{at.day} {at.strftime('%B')} {at.year}, {clock} Beijing time",
     )
 
 

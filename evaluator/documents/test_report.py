@@ -203,7 +203,7 @@ def _conformity(results: Mapping[str, Any], language: Language) -> list[Block]:
         *blocks,
         Table(
             caption=say(language, "附表 6　不符合或需注意的条款", "Table 6  Requirements that fail or need attention"),
-            head=say(language, "条款|要求|实测|界限|结论", "Clause|Requirement|Measured|Limit|Status").split("|"),
+            head=say(language, "条款|要求|实测|限值|结论", "Clause|Requirement|Measured|Limit|Status").split("|"),
             rows=[
                 (
                     r["clause"],

@@ -4,8 +4,20 @@ from collections.abc import Mapping
 from typing import Any
 
 from evaluator.c10_1_grading import GRADE_ZH, GROUPS, INDICATORS, Group, group_grades
-from evaluator.documents.model import Block, Cell, Figure, Heading, Language, Paragraph, Table, figure, say
+from evaluator.documents.model import (
+    Block,
+    Cell,
+    Figure,
+    Heading,
+    Language,
+    Paragraph,
+    Table,
+    figure,
+    printed_unit,
+    say,
+)
 from evaluator.documents.phrases import translated
+from evaluator.report.terms import method
 from evaluator.results import shown_decimals
 
 _GRADE_EN = {
@@ -15,31 +27,24 @@ _GRADE_EN = {
     "ungraded": "beyond table 3",
     "not_measured": "not measured",
 }
-_METHODS = {  # first words of an uncertainty's method -> Chinese
-    "bootstrap over targets": "对靶标和航线重抽样（bootstrap）",
-    "bootstrap over images": "对影像重抽样（bootstrap），标定参数不变",
-    "bootstrap": "对参考板重抽样（bootstrap）",
-    "chi-square": "χ² 分布，自由度 n − 1，取最差波段",
-    "propagation": "改正距离与相对真值的协方差传播",
-}
 # What stands beside an indicator: path below its companions, Chinese, English, unit.
 _BESIDE: dict[str, tuple[tuple[str, str, str, str], ...]] = {
     "lidar_reflectance_rmse": (
-        ("leave_one_panel_out", "逐板留出", "leave one panel out", "%"),
+        ("leave_one_panel_out", "逐靶标留出", "leave one panel out", "%"),
         ("with_cos_incidence", "振幅除以入射角余弦", "amplitude over cosine of incidence", "%"),
     ),
     "camera_stability": (("trend_percent_per_h", "序列趋势（每小时）", "trend of the series, an hour", "%/h"),),
     "camera_repeatability": (("sd_dn", "标准差", "standard deviation", "DN"),),
-    "reflectance_correlation": (("leave_one_panel_out", "逐板留出", "leave one panel out", "%"),),
-    "reflectance_rmse_relative": (("leave_one_panel_out", "逐板留出", "leave one panel out", "%"),),
+    "reflectance_correlation": (("leave_one_panel_out", "逐靶标留出", "leave one panel out", "%"),),
+    "reflectance_rmse_relative": (("leave_one_panel_out", "逐靶标留出", "leave one panel out", "%"),),
     "lidar_ranging_rmse_relative": (
         ("rmse_m", "测距中误差 m_j", "ranging RMSE m_j", "m"),
-        ("leave_one_panel_out_percent", "逐板留出", "leave one panel out", "%"),
+        ("leave_one_panel_out_percent", "逐靶标留出", "leave one panel out", "%"),
     ),
-    "camera_reprojection_error": (("held_out_px", "留出影像", "held-out images", "pixel"),),
+    "camera_reprojection_error": (("held_out_px", "留出影像", "held-out images", "px"),),
     "calibration_error": (
-        ("held_out_px", "留出靶标", "held-out targets", "pixel"),
-        ("single_instant.p_m_px", "单一瞬时刚体变换", "one rigid transform for one instant", "pixel"),
+        ("held_out_px", "留出靶标", "held-out targets", "px"),
+        ("single_instant.p_m_px", "单一瞬时刚体变换", "one rigid transform for one instant", "px"),
     ),
 }
 
@@ -56,10 +61,6 @@ def indicator_name(indicator_id: str, language: Language) -> str:
     """An indicator's name in the document's language."""
     row = INDICATORS[indicator_id]
     return say(language, row.name_zh, row.name_en)
-
-
-def _unit(unit: str) -> str:
-    return {"% reflectance": "%"}.get(unit, unit)
 
 
 def _grade(grade: str, language: Language) -> str:
@@ -79,7 +80,7 @@ def _value(results: Mapping[str, Any], indicator_id: str, language: Language) ->
     if block["value"] is None:
         return say(language, "未测", "not measured")
     path = f"indicators.{indicator_id}.value"
-    return figure(results, path, _decimals(block), _unit(block["unit"]))
+    return figure(results, path, _decimals(block), printed_unit(block["unit"]))
 
 
 def _spread(results: Mapping[str, Any], indicator_id: str, key: str) -> Figure:
@@ -89,7 +90,7 @@ def _spread(results: Mapping[str, Any], indicator_id: str, key: str) -> Figure:
     decimals = _decimals(block)
     if key == "std":
         decimals = max(decimals, shown_decimals(figure(results, path).value, block["unit"]))
-    return figure(results, path, decimals, _unit(block["unit"]))
+    return figure(results, path, decimals, printed_unit(block["unit"]))
 
 
 def result_blocks(results: Mapping[str, Any], language: Language) -> list[Block]:
@@ -130,8 +131,8 @@ def result_blocks(results: Mapping[str, Any], language: Language) -> list[Block]
         Paragraph(
             text=say(
                 language,
-                "注：* 为较低单指标一致性程度所评估的一致性检测结果。程度按未修约的数值评定，界限值属较高一级；组内有指标未测时，"
-                "该组不评定。",
+                "注：* 为较低单指标一致性程度所评估的一致性检测结果。程度按未修约的数值评定，等于限值的属较高一级；"
+                "组内有指标未测时，该组不评定。",
                 "Note: * the degree is the lower one of the group's indicators. The unrounded value is graded; a value on a bound "
                 "takes the better degree; a group with an indicator that was not measured has none.",
             ),
@@ -169,12 +170,6 @@ def _not_measured(results: Mapping[str, Any], language: Language) -> list[Block]
     ]
 
 
-def _method(text: str | None, language: Language) -> str:
-    if not text or language == "en":
-        return text or ""
-    return next((zh for start, zh in _METHODS.items() if text.startswith(start)), text)
-
-
 def _how_sure(results: Mapping[str, Any], language: Language) -> list[Block]:
     """95 % intervals, sample sizes, and the figures that stand beside the standard's own."""
     measured = [i for i in INDICATORS if results["indicators"][i]["value"] is not None]
@@ -187,7 +182,7 @@ def _how_sure(results: Mapping[str, Any], language: Language) -> list[Block]:
             figure(results, f"indicators.{i}.sample_size", 0),
             _spread(results, i, "low_95"),
             _spread(results, i, "high_95"),
-            _method(results["indicators"][i]["uncertainty"]["method"], language),
+            method(results["indicators"][i]["uncertainty"]["method"] or "", language),
         )
         for i in measured
     ]
@@ -197,7 +192,7 @@ def _how_sure(results: Mapping[str, Any], language: Language) -> list[Block]:
             found = figure(results, f"indicators.{i}.companions.{key}", 3, unit)
             if found.value is not None:
                 decimals = (
-                    _decimals(results["indicators"][i]) if unit in ("%", "pixel") else shown_decimals(found.value, unit)
+                    _decimals(results["indicators"][i]) if unit in ("%", "px") else shown_decimals(found.value, unit)
                 )
                 beside.append(
                     (
@@ -232,7 +227,7 @@ def _how_sure(results: Mapping[str, Any], language: Language) -> list[Block]:
         Paragraph(
             text=say(
                 language,
-                "注：留出数值不参与评定，用以说明在同一批参考板、影像或靶标上拟合并检验对结果的影响。",
+                "注：留出数值不参与评定，用以说明在同一批标准反射靶标、影像或靶标上拟合并检验对结果的影响。",
                 "Note: held-out figures are not graded. They show what it does to a result that it is fitted and checked on the "
                 "same panels, images or targets.",
             ),

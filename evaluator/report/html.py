@@ -9,8 +9,9 @@ from pathlib import Path
 
 import jinja2
 
+from evaluator.documents.handbooks_common import blunder
 from evaluator.documents.model import Language
-from evaluator.documents.phrases import translated
+from evaluator.documents.phrases import time_in_words, translated
 from evaluator.report import sections
 from evaluator.report.overlays import shots
 from evaluator.report.pictures import pictures
@@ -48,6 +49,7 @@ def render_report(evaluation: Evaluation, score: Score | None, language: Languag
         t=t,
         font_place=_FONT_PLACE,
         evaluation=evaluation,
+        begun=time_in_words(evaluation.data.manifest.start_time, language) if evaluation.data else "",
         manifest=evaluation.data.manifest if evaluation.data else None,
         cards=sections.indicator_cards(evaluation, results, t),
         groups=sections.group_rows(evaluation, t),
@@ -71,6 +73,7 @@ def render_report(evaluation: Evaluation, score: Score | None, language: Languag
         left_out=sections.left_out(evaluation),
         decimals=decimals,
         name=lambda text: parameter(text, language),
+        words=lambda text: blunder(str(text or ""), language),
         number=lambda value: sections.number(value, t),
         score=score,
         album=album,

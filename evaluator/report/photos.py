@@ -16,6 +16,7 @@ from matplotlib.patches import Polygon
 from campaign.errors import TestrangeError
 from campaign.images import read_preview
 from evaluator.c10_1_grading import GRADE_ZH, INDICATORS
+from evaluator.documents.model import printed_unit
 from evaluator.model import CampaignData
 from evaluator.report.radiometry_plots import draw_reflectance, draw_waveform
 from evaluator.report.style import GRADE_COLOURS, INK, figure, style
@@ -127,7 +128,7 @@ def _grades(axes: Axes, evaluation: Evaluation) -> None:
     for k, i in enumerate(measured):
         row, found, mark = INDICATORS[i], evaluation.indicator(i), evaluation.grade(i)
         y = 1.0 - (k + 0.6) / max(len(measured), 1)
-        unit = "px" if row.unit == "pixel" else "%"
+        unit = printed_unit(row.unit)
         value = f"{found.value:.{shown_decimals(found.value, row.unit)}f} {unit}"
         axes.text(0.0, y, f"{row.name_zh} {row.symbol}", fontsize=9, va="center", color=INK)
         axes.text(0.86, y, value, fontsize=9, va="center", ha="right", color=INK)

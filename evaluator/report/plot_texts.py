@@ -17,19 +17,19 @@ PLOT_TABLE: dict[str, tuple[str, str]] = {
     ),
     "p_waveforms": ("各反射率等级的波形与拟合", "Waveforms and fits by reflectance class"),
     "c_waveforms": (
-        "点：数字化采样；线：高斯分解。每级一块参考板。",
+        "点：数字化采样；线：高斯分解。每级一个标准反射靶标。",
         "Dots: samples of the digitiser. Line: Gaussian decomposition. One panel of each class.",
     ),
     "p_surface": ("经验辐射模型 f(A, L)", "Empirical radiometric model f(A, L)"),
     "c_surface": (
-        "8.1.2 f-g：每个设计航高一个二次曲面。底色与等值线：曲面；点：各参考板的 (A, L)，颜色为光谱仪反射率。下图："
+        "8.1.2 f-g：每个设计航高一个二次曲面。底色与等值线：曲面；点：各标准反射靶标的 (A, L)，颜色为光谱仪反射率。下图："
         "曲面值减光谱仪值。",
         "8.1.2 f-g: one surface of second degree for each design height. Background and lines: the surface; dots: "
         "panels at their "
         "(A, L), coloured by the spectrometer's reflectance. Below: surface minus spectrometer.",
     ),
     "p_reflectance": ("激光雷达与相机反射率", "Reflectance: LiDAR against camera"),
-    "c_reflectance": ("每点一块参考板。", "One point a panel."),
+    "c_reflectance": ("每点一个标准反射靶标。", "One point a panel."),
     "p_residuals": ("标定误差矢量", "Calibration residuals over the field"),
     "c_residuals": (
         "由检测到的标识中心指向投影的激光雷达顶点，式 (24)。",
@@ -37,7 +37,7 @@ PLOT_TABLE: dict[str, tuple[str, str]] = {
     ),
     "p_targets": ("各靶标的标定误差 P_i", "Calibration error P_i of each target"),
     "c_targets": (
-        "实心：参与平差；空心：留出检验（k 折）。虚线：表 3 的界限。",
+        "实心：参与平差；空心：留出检验（k 折）。虚线：表 3 的限值。",
         "Filled: as adjusted; hollow: held out (k-fold). Dashed: bounds of table 3.",
     ),
     "p_correlations": ("安置参数的相关系数", "Correlations of the mounting parameters"),
@@ -57,7 +57,7 @@ PLOT_TABLE: dict[str, tuple[str, str]] = {
     ),
     "p_sphere": ("积分球", "Integrating sphere"),
     "c_sphere": (
-        "每幅影像中央九像素的均值。阴影：±1 SD；虚线：光源趋势。",
+        "每张影像中央九像素的均值。阴影：±1 SD；虚线：光源趋势。",
         "Mean of the nine central pixels of each image. Shaded: ±1 SD. Dashed: the lamp's trend.",
     ),
     "p_chessboard": ("重投影残差", "Chessboard residuals"),
@@ -78,7 +78,7 @@ PLOT_TABLE: dict[str, tuple[str, str]] = {
         "Figures where |ρ| > 0.1. k1, k2 and k3 always correlate: their sum over the field is determined, not each alone.",
     ),
     "p_image_errors": ("各影像误差", "Images of the chessboard"),
-    "c_image_errors": ("颜色：标定板距离。", "Colour: distance of the board."),
+    "c_image_errors": ("颜色：棋盘格距离。", "Colour: distance of the board."),
     "p_ranging": ("测距误差", "Ranging line"),
     "c_ranging": (
         "真值 = 测值 + K₂ + R₂ · 测值，式 (13)；激光雷达减全站仪，自激光雷达中心起算。误差线：扫描均值与读数均值的合成标准差。",
@@ -89,7 +89,7 @@ PLOT_TABLE: dict[str, tuple[str, str]] = {
     "c_score": ("只有仿真检测才有真值。", "Only a simulated campaign knows the truth."),
     "p_diagnosis": ("偏差的显著性", "Significance of the deviations"),
     "c_diagnosis": (
-        "竖线：全部各行共同的界限。对数刻度。",
+        "竖线：全部各行共同的限值。对数刻度。",
         "Line: the limit for all rows together. Logarithmic scale.",
     ),
     # axes, legends
@@ -98,7 +98,7 @@ PLOT_TABLE: dict[str, tuple[str, str]] = {
     "swath": ("激光雷达扫描带", "LiDAR swath"),
     "sortie": ("架次 {n}", "sortie {n}"),
     "frustum": ("梯形棱台靶标", "frustum target"),
-    "panel": ("参考板", "reference panel"),
+    "panel": ("标准反射靶标", "reference panel"),
     "board": ("2×2 标定板", "2×2 board"),
     "east": ("原点以东 [m]", "east of the origin [m]"),
     "north": ("原点以北 [m]", "north of the origin [m]"),
@@ -133,7 +133,7 @@ PLOT_TABLE: dict[str, tuple[str, str]] = {
     # benches and ranging line
     "stability": ("稳定性", "Stability"),
     "repeatability": ("重复性", "Repeatability"),
-    "band_black": ("{band}: 均值 {dn:.1f} DN，未超过黑电平", "{band}: mean {dn:.1f} DN, not above the black level"),
+    "band_black": ("{band}：均值 {dn:.1f} DN，未超过黑电平", "{band}: mean {dn:.1f} DN, not above the black level"),
     "trend": ("趋势 {slope:+.3f} %/h", "trend {slope:+.3f} %/h"),
     "dn_minus_mean": ("DN − 均值 [均值的 %]", "DN − mean [% of mean]"),
     "cell_vectors": ("残差矢量 × {m:.0f}；黑：格网均值", "residual vectors × {m:.0f}; black: means of cells"),
@@ -142,7 +142,7 @@ PLOT_TABLE: dict[str, tuple[str, str]] = {
     "cells": ("{at}：{all} 格中 {seen} 格", "{at}: {seen} of {all} cells"),
     "corners_in_cell": ("格内角点数", "corners in a cell"),
     "hatched": ("斜线：无角点", "hatched: no corner"),
-    "distortion_title": ("畸变估值；十字：像主点", "as estimated; cross: principal point"),
+    "distortion_title": ("畸变估计值；十字：像主点", "as estimated; cross: principal point"),
     "distorted_ideal": ("畸变 − 理想 [px]", "distorted − ideal [px]"),
     "mean_of_norms": ("M_z {m:.3f} px（范数均值）", "M_z {m:.3f} px (mean of the norms)"),
     "accepted_image": ("采用的影像", "accepted image"),

@@ -8,6 +8,8 @@ import numpy as np
 
 from evaluator.c10_1_grading import GROUPS, INDICATORS, Indicator, group_grades
 from evaluator.camera_model import LENS_NAMES, lens_vector
+from evaluator.documents.handbooks_common import blunder
+from evaluator.documents.model import printed_unit
 from evaluator.documents.phrases import translated
 from evaluator.report.terms import method, parameter, strip
 from evaluator.report.texts import Texts
@@ -15,9 +17,11 @@ from evaluator.report.words import HOW
 from evaluator.results import Evaluation, plain, shown_decimals
 from evaluator.score import decimals
 
+_BANDS = {"red", "green", "blue", "grey"}
 _LONG = 8  # a longer list is counted, not printed
 _CORRELATED = 0.95
-_HIDDEN = {"covariance", "correlation"}
+_MATRICES = {"covariance", "correlation"}  # drawn as pictures
+_ROUNDING = 1e-10  # in any unit of ours: sums over values of the order of 100 leave 1e-14, no instrument resolves this
 
 
 def number(value: object, t: Texts) -> str:
@@ -27,8 +31,9 @@ def number(value: object, t: Texts) -> str:
     if isinstance(value, bool):
         return t("yes") if value else t("no")
     if isinstance(value, float):
-        return f"{value:.5g}"
-    return str(value)
+        return f"{value:.5g}" if abs(value) >= _ROUNDING else "0"
+    text = str(value)
+    return parameter(text, t.language) if text in _BANDS else blunder(text, t.language)
 
 
 def companions(value: Any, t: Texts, prefix: str = "") -> list[tuple[str, str]]:
@@ -37,7 +42,7 @@ def companions(value: Any, t: Texts, prefix: str = "") -> list[tuple[str, str]]:
         return [
             pair
             for k, v in value.items()
-            if k not in _HIDDEN
+            if not (k in _MATRICES and isinstance(v, list))
             for pair in companions(
                 v, t, f"{prefix} › {parameter(str(k), t.language)}" if prefix else parameter(str(k), t.language)
             )
@@ -45,7 +50,7 @@ def companions(value: Any, t: Texts, prefix: str = "") -> list[tuple[str, str]]:
     if isinstance(value, list):
         if len(value) > _LONG or any(isinstance(v, list | dict) for v in value):
             return [(prefix, t("entries", n=len(value)))]
-        return [(prefix, ", ".join(number(v, t) for v in value) or "–")]
+        return [(prefix, t("comma").join(number(v, t) for v in value) or "–")]
     return [(prefix, number(value, t))]
 
 
@@ -68,7 +73,7 @@ def indicator_cards(evaluation: Evaluation, results: Mapping[str, Any], t: Texts
                 "id": i,
                 "row": row,
                 "name": t.pick(row.name_zh, row.name_en),
-                "unit": "px" if row.unit == "pixel" else row.unit.replace("% reflectance", "%"),
+                "unit": printed_unit(row.unit),
                 "value": value,
                 "digits": _digits(value, row),
                 "grade": evaluation.grade(i),

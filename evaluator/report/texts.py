@@ -14,18 +14,21 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "title": ("多传感器一致性检测报告", "Multi-sensor consistency test"),
     "campaign": ("检测", "campaign"),
     "height": ("高程", "height"),
-    "begun": ("开始于", "begun"),
+    "begun": ("记录始于", "records begin"),
     "synthetic": (
         "虚拟检测场仿真数据。影像、点云和波形均由计算得到，未检测任何实物仪器。",
         "Synthetic data of a virtual range. Images, point clouds and waveforms were computed; no instrument was tested.",
     ),
     "synthetic_short": ("虚拟检测场仿真数据", "synthetic data of a virtual range"),
+    "level_flight": ("，含首条航线前的飞行", ", some seconds before the first strip"),
     "footer": (
         "评价依据 GB/T 41450-2022 第 10.1 条表 3；边界值归入较高等级，按未修约值评级。全部数值见 results.json。",
         "Grades: GB/T 41450-2022, 10.1, table 3; boundaries belong to the better grade, values are graded unrounded. All "
         "figures stand in results.json.",
     ),
     "stop": ("。", ". "),
+    "comma": ("、", ", "),
+    "colon": ("：", ": "),
     "enlarge": ("点击放大，再次点击还原", "click to enlarge, click again to go back"),
     # navigation and headings
     "nav": ("目录", "Contents"),
@@ -50,7 +53,7 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "clause": ("条款", "clause"),
     "interval_95": ("95 % 区间", "95 %"),
     "to": ("～", "to"),
-    "group": ("一致性类别", "group"),
+    "group": ("一致性类型", "group"),
     "grade": ("等级", "grade"),
     "indicators_of": ("指标", "indicators"),
     "starred": (
@@ -68,14 +71,14 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "d_sorties": ("飞行架次", "sorties"),
     "d_sorties_v": ("{sorties} 架次，{strips} 条航线", "{sorties} sorties, {strips} strips"),
     "d_images": ("影像", "images"),
-    "d_images_v": ("{n} 幅", "{n}"),
+    "d_images_v": ("{n} 张", "{n}"),
     "d_targets": ("地面靶标", "targets"),
     "d_targets_v": (
-        "梯形棱台 {frustum} 个，参考板 {panel} 块，2×2 标定板 {board} 块",
+        "梯形棱台 {frustum} 个，标准反射靶标 {panel} 个，2×2 标定板 {board} 块",
         "{frustum} frustums, {panel} reference panels, {board} 2×2 boards",
     ),
     "d_sphere": ("积分球影像", "integrating sphere images"),
-    "d_sphere_v": ("稳定性 {a} 幅，重复性 {b} 幅", "{a} for stability, {b} for repeatability"),
+    "d_sphere_v": ("稳定性 {a} 张，重复性 {b} 张", "{a} for stability, {b} for repeatability"),
     "d_board": ("棋盘格影像", "chessboard images"),
     "d_ranging": ("测距基线", "ranging line"),
     "d_ranging_v": ("扫描 {scans} 次，全站仪读数 {readings} 个", "{scans} scans, {readings} total station readings"),
@@ -88,7 +91,7 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "std": ("标准差", "standard deviation"),
     "by": ("不确定度算法", "uncertainty by"),
     "from_data": ("所用数据", "from"),
-    "bounds": ("评价界限", "bounds of the grades"),
+    "bounds": ("等级限值", "bounds of the grades"),
     "companions": ("相关数值", "figures beside it"),
     "entries": ("{n} 项，见 results.json", "{n} entries, in results.json"),
     "not_measured": ("未测", "not measured"),
@@ -100,7 +103,7 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     # tables
     "parameter": ("参数", "parameter"),
     "unit": ("单位", "unit"),
-    "estimate": ("估值", "estimate"),
+    "estimate": ("估计值", "estimate"),
     "std_short": ("标准差", "std"),
     "prior_std": ("先验标准差", "prior std"),
     "determined": ("能否确定", "determined?"),
@@ -108,7 +111,7 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "not_determined": ("不能确定", "not determined"),
     "correlated_with": ("与{other}的相关系数 ρ = {rho}", "ρ = {rho} with {other}"),
     "helping_strip": ("可加飞：{strip}，标准差将为 {std}", "a strip that would help: {strip}, std then {std}"),
-    "status": ("状态", "status"),
+    "status": ("结论", "status"),
     "status_pass": ("符合", "pass"),
     "status_fail": ("不符合", "fail"),
     "status_warning": ("注意", "warning"),
@@ -116,12 +119,13 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "status_not_applicable": ("不适用", "not applicable"),
     "requirement": ("要求", "requirement"),
     "measured": ("实测", "measured"),
+    "beside_limit": ("（限值：{limit}）", " (limit: {limit})"),
     "limit": ("限值", "limit"),
     "no_conformity": ("没有符合性记录。", "No conformity rows were made."),
     # images
     "images_intro": (
-        "每幅影像一图。黄色：检测到的标识中心（圆）及编号；红色十字：激光雷达棱面公共顶点按平差后的安置参数投影；蓝色："
-        "参考板取样区；"
+        "每张影像一图。黄色：检测到的标识中心（圆）及编号；红色十字：激光雷达棱面公共顶点按平差后的安置参数投影；蓝色："
+        "标准反射靶标取样区；"
         "绿色：2×2 标定板中心（圆为检测值，十字为投影值）。其下为各靶标的放大图。",
         "One picture for every image. Yellow circle: centre of a mark as found. Red cross: vertex of the LiDAR's face planes, "
         "projected with the adjusted mounting. Blue: region of a reference panel. Green: centre of a 2×2 board (circle: "
@@ -133,7 +137,7 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
         "Images without a preview are shown from their raw pixels, stretched.",
     ),
     "image_caption": (
-        "架次 {sortie}，航线 {strip}：标识 {marks} 个，参考板 {panels} 块",
+        "架次 {sortie}，航线 {strip}：标识 {marks} 个，标准反射靶标 {panels} 个",
         "sortie {sortie}, strip {strip}: {marks} marks, {panels} panels",
     ),
     "image_boards": ("，标定板 {n} 块", ", {n} boards"),
@@ -149,7 +153,7 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "rejected": ("剔除的观测值（{n}）", "Observations left out ({n})"),
     "h_three_ways": ("不同途径的结果", "By each way"),
     "three_ways_note": (
-        "联合平差、单传感器平差（仅用该传感器的观测值）与 2×2 标定板法的估值，括号内为标准差。",
+        "联合平差、单传感器平差（仅用该传感器的观测值）与 2×2 标定板法的估计值，括号内为标准差。",
         "The joint adjustment, each sensor alone (its own observations only) and the 2×2 boards; standard deviations "
         "in brackets.",
     ),
@@ -164,7 +168,7 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "closes": ("闭合", "agree"),
     "closes_not": ("不闭合", "do not agree"),
     "chi_square": (
-        "χ² = {chi}，95 % 界限 {limit}（自由度 {freedom}）。",
+        "χ² = {chi}，95 % 限值 {limit}（自由度 {freedom}）。",
         "χ² {chi}, 95 % limit {limit} ({freedom} degrees of freedom).",
     ),
     "composed": ("合成", "composed"),
@@ -173,7 +177,7 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "half_width_95": ("95 % 半宽", "95 % half width"),
     "h_boards": ("2×2 标定板法（相机）", "Camera by 2×2 boards"),
     "boards_intro": (
-        "{images} 幅影像中 {observations} 个标定板中心，残差平均 {mean} px（各影像位姿自由时 {free} px）；单位权中误差 {sigma0}，"
+        "{images} 张影像中 {observations} 个标定板中心，残差平均 {mean} px（各影像位姿自由时 {free} px）；单位权中误差 {sigma0}，"
         "多余观测 {redundancy}。",
         "{observations} board centres in {images} images, mean residual {mean} px ({free} px with each image's pose free); "
         "standard deviation of unit weight {sigma0}, redundancy {redundancy}.",
@@ -189,7 +193,7 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "boards_rejected": ("剔除的标定板（{n}）", "Boards left out ({n})"),
     "boards_swapped": ("测量成果中互换的标定板", "Boards swapped in the survey"),
     "boards_not_in_images": ("影像中未找到的标定板（{n}）", "Boards not found in images ({n})"),
-    "h_clocks": ("时钟", "Clocks"),
+    "h_clocks": ("时钟偏差", "Clocks"),
     "clocks_none": (
         "传感器与导航同步（rig.json 未给出时钟先验），未估计时钟偏差。",
         "The sensors are synchronised with navigation (rig.json gives no clock prior): no clock was estimated.",
@@ -210,7 +214,7 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "no_pairs": ("没有 |ρ| > 0.95 的参数对。", "No pair beyond |ρ| = 0.95."),
     # diagnosis
     "diagnosis_intro": (
-        "估值与设计安置、镜头证书、无误差测距和记录增益相比。|z| 超过 {limit} 判为偏差（全部 {n} 行共同的界限）。",
+        "估计值与设计安置、镜头证书、无误差测距和记录增益相比。|z| 超过 {limit} 判为偏差（全部 {n} 行共同的限值）。",
         "Estimates against the drawing, the lens certificate, a range without error and the logged gain. |z| beyond {limit} is a "
         "deviation (limit for all {n} rows together).",
     ),
@@ -232,13 +236,13 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     # benches
     "lens_title": ("相机内方位元素与畸变参数", "Camera: interior orientation and distortion"),
     "lens_note": (
-        "{n} 幅影像，未用 {out} 幅；影像左上角为 (0, 0)，第一个像素中心为 (0.5, 0.5)。{setting}",
+        "{n} 张影像，未用 {out} 张；影像左上角为 (0, 0)，第一个像素中心为 (0.5, 0.5)。{setting}",
         "{n} images, {out} not used; the image's top left corner is (0, 0), the centre of its first pixel (0.5, 0.5).{setting}",
     ),
     "lens_setting": ("镜头设置：{text}。", " Lens set to {text}."),
     "ranging_title": ("激光雷达测距常数", "LiDAR ranging constants"),
     "ranging_note": ("真值 = 测值 + K₂ + R₂ · 测值。", "true = measured + K₂ + R₂ · measured."),
-    "left_out": ("未采用的检测影像与靶板（{n}）", "Images and panels of the benches that were not used ({n})"),
+    "left_out": ("未采用的检测影像与靶标（{n}）", "Images and panels of the benches that were not used ({n})"),
 }
 
 

@@ -16,7 +16,7 @@ class Explanation:
 
 
 _PANELS = (
-    "survey/targets.csv、spectra.csv 的参考板（5 级各不少于 4 块），",
+    "survey/targets.csv、spectra.csv 的标准反射靶标（5 级各不少于 4 个），",
     "reference panels of survey/targets.csv and spectra.csv (at least four of each of five classes), ",
 )
 
@@ -24,8 +24,9 @@ HOW: dict[str, Explanation] = {
     "lidar_reflectance_rmse": Explanation(
         formula="m_f = √( Σ (Rᵢ − R̂ᵢ)² / n )",
         words=(
-            "Rᵢ：参考板 i 的反射率，由对振幅 A（波形分解）和距离 L 拟合的二次曲面 f(A, L, R) 得到；R̂ᵢ：光谱仪在激光波长处的反射率。"
-            "按标准原文，曲面在同一批参考板上拟合与检验；逐板留出的数值列于其旁。",
+            "Rᵢ：标准反射靶标 i 的反射率，由对振幅 A（波形分解）和距离 L 拟合的二次曲面 f(A, L, R) 得到；R̂ᵢ："
+            "光谱仪在激光波长处的反射率。"
+            "按标准原文，曲面在同一批标准反射靶标上拟合与检验；逐靶标留出的数值列于其旁。",
             "Rᵢ: reflectance of panel i from the surface f(A, L, R) of second degree, fitted to amplitude A and range L of the "
             "decomposed waveforms. R̂ᵢ: spectrometer reflectance at the laser line. The value is in-sample, as the "
             "standard writes it; "
@@ -39,7 +40,7 @@ HOW: dict[str, Explanation] = {
     "camera_stability": Explanation(
         formula="SD = √( Σ (DNᵢ − D̄N)² / (n − 1) ),   RSD = 100 · SD / D̄N",
         words=(
-            "光源预热 20 min 后，1 h 内每 3 min 拍摄积分球一幅，含首尾共 21 幅。DNᵢ：各波段中央九像素均值，已减黑电平；"
+            "光源预热 20 min 后，1 h 内每 3 min 拍摄积分球一张，含首尾共 21 张。DNᵢ：各波段中央九像素均值，已减黑电平；"
             "取最大的波段。"
             "光源漂移计入该值，趋势列于其旁。",
             "Images of an integrating sphere every three minutes over one hour, 21 with both ends, after 20 minutes of warm-up. "
@@ -52,7 +53,7 @@ HOW: dict[str, Explanation] = {
     "camera_repeatability": Explanation(
         formula="s(x) = 100 · √( Σ (xᵢ − x̄)² / (n − 1) ) / x̄",
         words=(
-            "5 min 内每 15 s 拍摄积分球一幅，共 21 幅。xᵢ：各波段中央九像素均值，已减黑电平。式 (6) 得 DN 而界限为百分比，"
+            "5 min 内每 15 s 拍摄积分球一张，共 21 张。xᵢ：各波段中央九像素均值，已减黑电平。式 (6) 得 DN 而限值为百分比，"
             "故取相对均值"
             "之比；DN 值列于其旁。",
             "21 images of an integrating sphere every 15 seconds over five minutes. xᵢ: mean of the nine central pixels, black "
@@ -65,7 +66,7 @@ HOW: dict[str, Explanation] = {
     "reflectance_correlation": Explanation(
         formula="r_f = Σ (R₁ᵢ − R̄₁)(R₂ᵢ − R̄₂) / √( Σ (R₁ᵢ − R̄₁)² · Σ (R₂ᵢ − R̄₂)² )",
         words=(
-            "R₁：激光雷达反射率；R₂：相机反射率（经验线性法）；同一批参考板。",
+            "R₁：激光雷达反射率；R₂：相机反射率（经验线性法）；同一批标准反射靶标。",
             "R₁: LiDAR, R₂: camera by the empirical line, both for the same panels.",
         ),
         data=(
@@ -76,7 +77,7 @@ HOW: dict[str, Explanation] = {
     "reflectance_rmse_relative": Explanation(
         formula="M_f = √( Σ (R₁ᵢ − R₂ᵢ)² / (2 (n − 1)) )",
         words=(
-            "R₁：激光雷达反射率；R₂：相机反射率（经验线性法）；同一批参考板。",
+            "R₁：激光雷达反射率；R₂：相机反射率（经验线性法）；同一批标准反射靶标。",
             "R₁: LiDAR, R₂: camera by the empirical line, both for the same panels.",
         ),
         data=(
@@ -87,7 +88,7 @@ HOW: dict[str, Explanation] = {
     "lidar_ranging_rmse_relative": Explanation(
         formula="L_Q = L + K₂ + R₂ L,   m_j = √( Σ (L_Q,ᵢ − L̂ᵢ)² / n ),   m_z = 100 · m_j / mean(L̂)",
         words=(
-            "L：激光雷达对一块靶板的平均测距。K₂、R₂ 由式 (13)-(14) 最小二乘求得，以 10 mm 级或更好的全站仪斜距为准，"
+            "L：激光雷达对一个标准反射靶标的平均测距。K₂、R₂ 由式 (13)-(14) 最小二乘求得，以 10 mm 级或更好的全站仪斜距为准，"
             "斜距已加自身常数 "
             "K₁、R₁ 和气象改正 (12)（群折射率按 IUGG 1999）。L̂：5 mm 级全站仪的相对真值。两者均归算至激光雷达中心。"
             "改正前的数值列于其旁。",
@@ -99,7 +100,7 @@ HOW: dict[str, Explanation] = {
             "before the correction stands beside it.",
         ),
         data=(
-            "ranging/line.json、total_station.csv 与 scans/（靶板不少于 5 块，每块不少于 5 次）",
+            "ranging/line.json、total_station.csv 与 scans/（标准反射靶标不少于 5 个，每个不少于 5 次）",
             "ranging/line.json, total_station.csv and scans/ (at least five panels, five observations each)",
         ),
     ),
@@ -115,7 +116,7 @@ HOW: dict[str, Explanation] = {
             "least-squares adjustment; the mean is over every corner of every accepted image.",
         ),
         data=(
-            "bench/chessboard 的影像、board.json 与 log.csv（不少于 20 幅、4 个距离）",
+            "bench/chessboard 的影像、board.json 与 log.csv（不少于 20 张、4 个距离）",
             "images, board.json and log.csv of bench/chessboard (at least 20 images, four distances)",
         ),
     ),

@@ -114,7 +114,7 @@ def _readme(source: Source, shots: list[Shot], sightings: list[Sighting]) -> str
     files = (
         (
             "images/",
-            "8 位 JPEG,同一增益;EXIF 仅含焦距与像元尺寸",
+            "8 位 JPEG，同一增益；EXIF 仅含焦距与像元尺寸",
             "8-bit JPEG, one gain; EXIF holds focal length, pixel size",
         ),
         (

@@ -17,11 +17,18 @@ WALL_M = 10.0  # behind the farthest panel of the ranging line, at most
 
 
 def ground_slant_m(config: Config) -> float | None:
-    """Longest way to level ground by heights and sector alone, as far as 60 degrees off nadir. [m]"""
+    """Longest way to the ground where no flight can be rehearsed: sector's edge, three standard deviations of roll, lowest place of
+    the site; as far as 60 degrees off nadir. [m]"""
     if not flies(config) or "lidar" not in config.campaign.parts:
         return None
-    edge = min(max(map(abs, config.lidar.scanner.sector_deg)), 60.0)
-    return float(max(config.flight.heights_m) / np.cos(np.radians(edge)))
+    edge = min(max(map(abs, config.lidar.scanner.sector_deg)) + 3.0 * config.platform.roll_std_deg, 60.0)
+    return float((max(config.flight.heights_m) + _below_m(config)) / np.cos(np.radians(edge)))
+
+
+def _below_m(config: Config) -> float:
+    """Lowest ground under the site's origin, as `beams.longest_slant_m` takes it. [m]"""
+    site = config.site
+    return float(0.5 * site.extent_m * np.sqrt(2.0) * np.tan(np.radians(site.slope_deg)) + 3.0 * site.relief_m)
 
 
 def physics_rows(
@@ -62,7 +69,8 @@ def _ranges(config: Config, passes: Passes | None) -> list[PlanRow]:
     assert longest is not None
     beams = max(len(config.lidar.scanner.channel_elevations_deg), 1)
     rate = 0.99 * config.lidar.prr_hz * limit / longest
-    height = 0.99 * max(config.flight.heights_m) * limit / longest
+    below = _below_m(config)
+    height = (max(config.flight.heights_m) + below) * 0.99 * limit / longest - below
     rows = [
         _row(
             PHYSICS,

@@ -34,7 +34,7 @@ _REMEDIES = {
 # The same in Chinese, by the English text; those with figures stand in `words`.
 REMEDIES_ZH = {
     "write campaign.start_time with +08:00": "campaign.start_time 用 +08:00 书写",
-    "set camera.exposure_target or the panels' levels": "调整 camera.exposure_target 或参考板反射率",
+    "set camera.exposure_target or the panels' levels": "调整 camera.exposure_target 或标准反射靶标反射率",
     "fly lower or slower, add strips, or enlarge targets.panels.size_m": (
         "降低航高或航速、增加航线，或加大 targets.panels.size_m"
     ),

@@ -122,7 +122,7 @@ def _point_table(points: tuple[TargetPoints, ...], language: Language) -> Table:
             (say(language, "每航线每棱面最少", "a face and strip, least"), "right"),
         ],
     )
-    kinds = {"panel": ("参考板", "panels"), "frustum": ("棱台（棱面上）", "frustums, on their faces")}
+    kinds = {"panel": ("标准反射靶标", "panels"), "frustum": ("梯形棱台靶标（棱面上）", "frustums, on their faces")}
     for sortie in sorted({p.sortie for p in points}):
         for kind, name in kinds.items():
             mine = [p for p in points if (p.sortie, p.kind) == (sortie, kind)]
@@ -187,7 +187,7 @@ def _lines(plan: Plan, language: Language) -> list[tuple[str, str]]:
                 say(language, "数据量", "data"),
                 say(
                     language,
-                    f"{v.image_count} 幅影像 {_mb(v.images)}，{v.return_count:,} 个激光点 {_mb(v.points)}，"
+                    f"{v.image_count} 张影像 {_mb(v.images)}，{v.return_count:,} 个激光点 {_mb(v.points)}，"
                     f"{v.waveform_count:,} 条波形 {_mb(v.waveforms)}；仿真共占磁盘约 {_mb(v.total)}",
                     f"{v.image_count} images {_mb(v.images)}, {v.return_count:,} points {_mb(v.points)}, "
                     f"{v.waveform_count:,} waveforms {_mb(v.waveforms)}; a simulation takes about {_mb(v.total)} of disk",
@@ -211,7 +211,7 @@ def _light_lines(plan: Plan, language: Language) -> list[tuple[str, str]]:
     )
     text = say(
         language,
-        f"曝光 1/{1.0 / e.exposure_time_s:.0f} s，增益 {e.gain_e_per_dn:.3g} e/DN；参考板 {panels}，"
+        f"曝光 1/{1.0 / e.exposure_time_s:.0f} s，增益 {e.gain_e_per_dn:.3g} e/DN；标准反射靶标 {panels}，"
         f"满量程 {bright.full_scale_dn:.0f} DN",
         f"exposure 1/{1.0 / e.exposure_time_s:.0f} s, gain {e.gain_e_per_dn:.3g} e/DN; panels {panels}, full scale "
         f"{bright.full_scale_dn:.0f} DN",

@@ -73,6 +73,19 @@ def test_a_mistake_is_one_line_that_names_it(base: Path, override: str, line: st
     assert "\n" not in str(caught.value)
 
 
+def test_only_devices_that_fit_are_offered(base: Path) -> None:
+    """Rationale: configs/sensors/ holds cameras and LiDARs; a camera offered for lidar.use leads into a page of unknown settings.
+    Expected: names of the asked kind alone, and a file of the other kind refused by what it is. Tolerance: none."""
+    with pytest.raises(ConfigError) as lidar:
+        load_config(base, ["lidar.use=nonsense"])
+    assert str(lidar.value).endswith("expected one of riegl_vux1uav, velodyne_vlp16, vux1_quickstart")
+    with pytest.raises(ConfigError) as camera:
+        load_config(base, ["camera.use=riegl_vux1uav"])
+    assert "got 'riegl_vux1uav', a file of another kind; expected one of dji_p1_35mm, quickstart_6mp" in str(
+        camera.value
+    )
+
+
 def test_every_problem_is_listed(base: Path) -> None:
     """Rationale: correcting one mistake a run is tedious. Expected: three mistakes, three lines."""
     with pytest.raises(ConfigError) as caught:

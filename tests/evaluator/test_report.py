@@ -156,7 +156,7 @@ def test_bare_report(evaluation: Evaluation, bare_data: CampaignData, tmp_path: 
     assert "bench/chessboard 的影像、board.json 与 log.csv" in text
     assert text.count('<td class="s-warning">无</td>') == 8
     assert "仿真" not in words(tmp_path / "r.html")
-    assert "未测: no targets" in text
+    assert "未测：no targets" in text
     assert "data:image/" not in text
     assert 'id="flight"' not in text and 'id="images"' not in text
 

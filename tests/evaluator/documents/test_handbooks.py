@@ -498,7 +498,7 @@ def test_observation_form_and_lists(whole: Evaluation) -> None:
     cells = {_text(row[k]): _text(row[k + 1]) for row in form.rows for k in (0, 2)}
     assert cells["温度"] == "24.0 ℃" and cells["风速"] == "3.0 m/s" and cells["靶标布设个数"] == "20"
     assert cells["辐射靶标反射率范围"].startswith("5 %～100 %")
-    assert cells["观测起讫时间"] == "2026-06-12 10:30:00—10:40:39（北京时间）"
+    assert cells["观测起讫时间"] == "2026-06-12 10:30:00—10:40:39（北京时间，含航线之外的飞行）"
     assert cells["光学遥感传感器型号"] == "hand camera" and cells["激光雷达型号"] == "hand scanner"
     assert cells["天气条件"] == cells["检测场典型地物"] == "未记录"
     sketch = next(b for b in document.blocks if isinstance(b, Picture))
