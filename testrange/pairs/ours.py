@@ -10,6 +10,7 @@ import numpy as np
 
 from campaign.config import Lens
 from campaign.sensors import MountingSheet, NavigationSheet, Rig
+from evaluator.algorithms.slots import VertexTask
 from evaluator.board_adjustment import Observations, Poses, poses_only
 from evaluator.board_blunders import gauss_newton
 from evaluator.board_model import BoardProblem, Views, remap
@@ -29,12 +30,14 @@ from evaluator.c9_1_lidar_ranging import (
 )
 from evaluator.c9_2_camera_geometry import mean_reprojection_error, project_16
 from evaluator.c9_3_calibration import calibration_error, project_24, residual_norms
-from evaluator.camera_model import project_with_jacobian, undistorted_px
+from evaluator.camera_calibration import calibrate
+from evaluator.camera_model import lens_vector, project_with_jacobian, undistorted_px
 from evaluator.conformity.clause_7 import flight_height
 from evaluator.frames import euler_angles, euler_rotation
-from evaluator.model import Mounting
+from evaluator.model import EvaluationError, Mounting
 from evaluator.mounting_model import observe_points
 from evaluator.observe.half_window import half_window_centre
+from evaluator.other_methods.vertices import orthogonal_planes
 from evaluator.single_instant import rigid_by_pixels
 from testrange.pairs.build import numbers
 from testrange.pairs.model import Pair
@@ -145,6 +148,47 @@ def _boresight(v: Values) -> list[float]:
     return [*rpy, *translation, calibration_error(residual_norms(projected, v["pixels"]))]
 
 
+def _calibration(v: Values) -> list[float]:
+    n = len(v["board"])
+    uv = v["pixels"].reshape(-1, n, 2)
+    observations = Observations(
+        board_m=v["board"],
+        uv_px=uv,
+        covariance_px2=np.broadcast_to(np.eye(2), (*uv.shape, 2)),
+        size_px=(int(2 * v["start_lens"][2]), int(2 * v["start_lens"][3])),
+    )
+    found = calibrate(observations, focal_px=float(v["start_lens"][0]), uniform=True, reject=False)
+    lens, poses = found.lens, found.poses
+    projected = [project_16(lens, r, t, v["board"]) for r, t in zip(poses.rotation, poses.translation_m, strict=True)]
+    error = mean_reprojection_error(np.concatenate(projected), undistorted_px(lens, uv.reshape(-1, 2)))
+    return [*lens_vector(lens), error]
+
+
+def _vertex(v: Values) -> np.ndarray:
+    """From points alone: no beam is known, so each point is its own origin, seen from above."""
+    n = len(v["points"])
+    outward = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
+    task = VertexTask(
+        origin_m=v["points"],
+        direction=np.broadcast_to([0.0, 0.0, -1.0], (n, 3)),
+        range_m=np.zeros(n),
+        single_return=np.ones(n, dtype=bool),
+        long_edge_m=0.5,
+        inverted=True,
+        thickness_m=0.0,
+        normals=np.column_stack([-np.sqrt(2.0) * outward, np.ones(4)]) / np.sqrt(3.0),
+        face_angle_std_rad=1e-3,
+        range_std_m=2e-3,
+        encoder_std_rad=0.0,
+        footprint_m=0.0,
+        located=True,
+    )
+    found = orthogonal_planes(task)
+    if isinstance(found, str):
+        raise EvaluationError(found)
+    return found.vertex_m
+
+
 def _board_problem(v: Values, photo: np.ndarray, board: np.ndarray) -> tuple[BoardProblem, Views]:
     still = NavigationSheet(
         grade="exact",
@@ -234,7 +278,9 @@ CALLS: dict[str, Callable[[Values], Any]] = {
     "f18": lambda v: (lambda pose: [*euler_angles(pose[0]), *pose[1]])(_pose(v)),
     "f19": _pose_error,
     "f19_norms": lambda v: mean_reprojection_error(v["projected"], v["observed"]),
+    "c9_2_2_f": _calibration,
     "c9_2_2_g": lambda v: undistorted_px(_lens(v["intrinsics"], v["distortion"]), v["pixels"]),
+    "c9_3_2_d_points": _vertex,
     "f20": lambda v: calibration_error(v["errors"]),
     "f20_b2_coordinates": lambda v: calibration_error(residual_norms(v["projected"], v["observed"])),
     "f21": lambda v: _turn(v["angles"]),

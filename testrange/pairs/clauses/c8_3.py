@@ -132,5 +132,6 @@ def pairs() -> list[Pair]:
         _made(
             "(8)", "two_panels", [20.0, 60.5], [21.25, 58.0], "%", ("n in place of 2(n-1), as in (2)",), kind="boundary"
         ),
+        _made("(8)", "identical", percent, percent, "%", tuple(_M_MISTAKES), scale=[1.0], kind="boundary"),
         _made("(8)", "one_class", tight, tight_other, "%", kind="ill_conditioned", tolerance_why=cancels),
     ]

@@ -4,17 +4,22 @@ from collections.abc import Sequence
 from typing import Any
 
 import mpmath
-from mpmath import mpf, pi
+from mpmath import fsum, mpf, pi
 
 from testrange.pairs.build import Formula, Values, given, pair, quantised
 from testrange.pairs.clauses.c9_2 import CORNER, IMAGE_AXES, K_INPUT, OBSERVATIONS, noise
 from testrange.pairs.maths import (
     ROTATION_TEXT,
+    Matrix,
     PixelFit,
+    Vector,
     applied,
     condition_of,
+    dot,
+    jacobian,
     least_squares,
     mean_norm,
+    minus,
     norm,
     plus,
     product,
@@ -146,6 +151,91 @@ def _vertex(name: str, planes: list[list[float]], without: Sequence[str] = (), *
     )
 
 
+def _plane(points: Matrix) -> tuple[Vector, Any]:
+    """Unit normal n and distance d of the plane n x = d with the least sum of squared orthogonal distances."""
+    centre = [fsum(c) / len(points) for c in transposed(points)]
+    off = transposed([minus(p, centre) for p in points])
+    _, vectors = mpmath.eigsy(mpmath.matrix([[dot(a, b) for b in off] for a in off]))
+    normal = [vectors[i, 0] for i in range(3)]
+    return normal, dot(normal, centre)
+
+
+def _faces(v: Values) -> list[Matrix]:
+    count = max(int(f) for f in v["face"])
+    return [[p for p, f in zip(v["points"], v["face"], strict=True) if int(f) == k + 1] for k in range(count)]
+
+
+def _by_points(v: Values) -> Vector:
+    planes = [_plane(points) for points in _faces(v)]
+    return least_squares([n for n, _ in planes], [d for _, d in planes])
+
+
+def _vertical(v: Values) -> Vector:
+    """Planes z = a x + b y + c with vertical residuals."""
+    rows, right = [], []
+    for points in _faces(v):
+        a, b, c = least_squares([[p[0], p[1], mpf(1)] for p in points], [p[2] for p in points])
+        length = mpmath.sqrt(a * a + b * b + 1)
+        rows.append([-a / length, -b / length, 1 / length])
+        right.append(c / length)
+    return least_squares(rows, right)
+
+
+def _vertex_from_points(name: str, half_width: float, **more: Any) -> Pair:
+    """Six points on each inner face of a funnel, rim 0.5 m, in a band of `half_width` along the slope, with 2 mm of noise."""
+    points, face = [], []
+    at = [mpf("0.0078125"), mpf("-0.005859375"), mpf("0.00390625")]
+    for k, (ax, ay) in enumerate(((0, 1), (1, 0), (0, -1), (-1, 0))):
+        for i in range(6):
+            run = mpf("0.1875") + half_width * (2 * (i % 3) - 2) / 2
+            along = mpf("0.03125") * (2 * (i // 3) - 1) + mpf("0.0078125") * (i % 3)
+            off = noise(6 * k + i, 0.002)
+            x, y = ax * run + ay * along, ay * run - ax * along
+            z = mpmath.sqrt(2) * run + off
+            points.append([quantised(c, 16) for c in plus([x, y, z], at)])
+            face.append(k + 1)
+    return pair(
+        f"c9_3_2_d_points_{name}",
+        "9.3.2 d",
+        "9.3.2 d",
+        """Common vertex of a frustum's faces from the points on them: for each face the plane with the least sum of squared
+            orthogonal distances, then the point with the least sum of squared distances to the four planes.""",
+        [
+            given("points", "m", "x, y, z of each return, z up", points),
+            given("face", "1", "face of each point, from 1", face),
+        ],
+        [("x", "m"), ("y", "m"), ("z", "m")],
+        _by_points,
+        {
+            "vertical in place of orthogonal residuals": _vertical,
+            "z reversed": lambda v: [*_by_points(v)[:2], -_by_points(v)[2]],
+            "last face left out": lambda v: _by_points(
+                {
+                    "points": [p for p, f in zip(v["points"], v["face"], strict=True) if f < 4],
+                    "face": [f for f in v["face"] if f < 4],
+                }
+            ),
+        },
+        condition=lambda v: _point_condition(v),
+        condition_note="of the vertex against the points: sum of |dx/dp p| / |x|",
+        derived_tolerance=True,
+        **more,
+    )
+
+
+def _point_condition(v: Values) -> Any:
+    flat = [c for p in v["points"] for c in p]
+    found = _by_points(v)
+
+    def of(x: Vector) -> Vector:
+        return _by_points({**v, "points": [x[i : i + 3] for i in range(0, len(x), 3)]})
+
+    return max(
+        dot([abs(g) for g in row], [abs(c) for c in flat]) / abs(value)
+        for row, value in zip(jacobian(of, flat), found, strict=True)
+    )
+
+
 def pairs() -> list[Pair]:
     k = [3000.0, 3002.5, 2001.25, 1498.75]
     field = [
@@ -180,6 +270,8 @@ def pairs() -> list[Pair]:
         _adjustment(
             "narrow_field", k, [0.5, -0.75, 1.0], [0.25, -0.5, 0.5], narrow, 60, 2.0**-7, kind="ill_conditioned"
         ),
+        _vertex_from_points("funnel", 0.03125),
+        _vertex_from_points("narrow_band", 0.00390625, kind="ill_conditioned"),
         _vertex("four_faces", sheets),
         _vertex("nearly_parallel", thin, ("normals not of unit length taken as such",), kind="ill_conditioned"),
     ]
