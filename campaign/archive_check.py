@@ -1,12 +1,15 @@
 """Verifies an archive of 10.3, BagIt folder or .zip, without trusting it: names, sizes, lists, checksums, the campaign in it.
 
-Nothing is unpacked; what an archive states is compared before anything long is read. Writing lives in `archive`.
+What an archive states is compared before anything long is read. The campaign in a .zip is unpacked to a temporary folder, file by
+file and no longer than stated, once names, sizes and kinds of all entries were found sound. Writing lives in `archive`.
 """
 
 import hashlib
 import os
 import re
+import shutil
 import stat
+import tempfile
 import zipfile
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -27,6 +30,7 @@ from campaign.progress import Report, silent
 MAX_TAG_BYTES = 200_000_000
 MAX_ENTRIES = 1_000_000
 MAX_LINES = 200  # problems of one kind
+FREE_SHARE = 0.9  # of the temporary disk that an unpacked campaign may take
 _LINE = re.compile(r"([0-9a-fA-F]{64})[ \t]+\*?(\S.*)")
 _OXUM = re.compile(r"(\d{1,18})\.(\d{1,9})")
 
@@ -98,8 +102,49 @@ def _contents(bag: Bag, path: Path, check: "_Check", progress: Report) -> None:
         return
     _campaign_list(bag, inner, found, check)
     if path.is_dir():
-        for p in check_campaign(path / CAMPAIGN, checksums=False):
-            check.problems.append(Problem(severity=p.severity, where=f"{CAMPAIGN}/{p.where}", message=p.message))
+        _campaign(path / CAMPAIGN, check)
+    else:
+        _packed_campaign(bag, check, progress)
+
+
+def _campaign(folder: Path, check: "_Check") -> None:
+    """The campaign's own formats, as `testrange check` of the folder has them; checksums were compared before."""
+    for p in check_campaign(folder, checksums=False):
+        message = p.message.replace(f"{folder}/", "").replace(str(folder), CAMPAIGN)
+        check.problems.append(Problem(severity=p.severity, where=f"{CAMPAIGN}/{p.where}", message=message))
+
+
+def _packed_campaign(bag: Bag, check: "_Check", progress: Report) -> None:
+    """The same for a .zip: unpacked to a temporary folder, which goes away; a warning where that cannot be done."""
+    files = {name: size for name, size in bag.sizes.items() if name.startswith(f"{CAMPAIGN}/")}
+    needed = sum(files.values())
+    place = Path(tempfile.gettempdir())
+    unchecked = "formats of the campaign not checked: {}; unpack the archive and check that folder"
+    free = shutil.disk_usage(place).free
+    if needed > FREE_SHARE * free:
+        check.warning(CAMPAIGN, unchecked.format(f"{needed} bytes to unpack, {free} free for temporary files"))
+        return
+    with tempfile.TemporaryDirectory(prefix="testrange-check-", dir=place) as work:
+        try:
+            for done, name in enumerate(files):
+                progress("unpacking", done, len(files))
+                _unpack(bag, name, Path(work) / name)
+            progress("unpacking", len(files), len(files))
+        except (OSError, zipfile.BadZipFile, EOFError, ValueError, NotImplementedError) as error:
+            why = getattr(error, "strerror", None) or " ".join(str(error).split())[:100]
+            check.warning(CAMPAIGN, unchecked.format(f"{_printable(name)}: {why}"))
+            return
+        _campaign(Path(work) / CAMPAIGN, check)
+
+
+def _unpack(bag: Bag, name: str, to: Path) -> None:
+    """One file, as long as the directory states and no longer."""
+    to.parent.mkdir(parents=True, exist_ok=True)
+    left = bag.sizes[name]
+    with bag.open(name) as file, to.open("xb") as out:
+        while left > 0 and (chunk := file.read(min(CHUNK_BYTES, left))):
+            out.write(chunk)
+            left -= len(chunk)
 
 
 @dataclass(kw_only=True)

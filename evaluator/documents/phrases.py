@@ -46,6 +46,7 @@ def time_in_words(time: str, language: Language) -> str:
     )
 
 
+_BETWEEN = re.compile("(?<=[\u4e00-\u9fff]) (?=[\u4e00-\u9fff])")  # a blank that a part in Chinese made needless
 _LONGEST = 400  # characters of a text that is looked up
 _DEPTH = 3  # phrases within phrases
 
@@ -87,4 +88,4 @@ def translated(text: str, language: Language) -> str:
     """A text of the evaluator in the document's language; one that is not known stays as it is."""
     if language == "en" or len(text) > _LONGEST or not text.isprintable():
         return text
-    return _chinese(text, _DEPTH)
+    return _BETWEEN.sub("", _chinese(text, _DEPTH))

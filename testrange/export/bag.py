@@ -28,7 +28,7 @@ except ImportError:
     raise CampaignError(
         "the package mcap is not installed",
         where="export --to mcap",
-        remedy="install the extra: pip install testrange[mcap]",
+        remedy=".venv/bin/python -m pip install mcap, or pip of whatever environment runs testrange",
     ) from None
 
 POSE_RATE_HZ = 50.0

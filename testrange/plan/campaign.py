@@ -299,6 +299,8 @@ def _sortie_figures(rehearsal: Rehearsal) -> tuple[SortieFigures, ...]:
     config = rehearsal.config
     flight, scanner = config.flight, config.lidar.scanner
     has_lidar = "lidar" in config.campaign.parts
+    if not rehearsal.sorties:  # benches or a ranging line alone: the configured heights are not flown
+        return ()
     found = []
     for sortie, height, speed in zip(rehearsal.sorties, flight.heights_m, speeds_m_s(config), strict=True):
         gsd = footprint = blur = turning = forward = side = None

@@ -38,18 +38,23 @@ def print_plan(plan: Plan, console: Console, language: Language) -> None:
     if plan.points:
         console.print(_point_table(plan.points, language))
     for name, text in _lines(plan, language):
-        console.print(Text.assemble((f"{name}: ", "bold"), text))
+        console.print(Text.assemble((f"{name}{_colon(language)}", "bold"), text))
     _print_rows([row for row in plan.rows if row.status != "after"], console, language)
     after = [row for row in plan.rows if row.status == "after"]
     if after:
         told = say(language, "；", "; ").join(f"{row.clause} {own(row.requirement, language)}" for row in after)
-        console.print(Text(f"{say(language, '检测后方可判定', 'after the campaign')}: {told}", "dim"))
+        console.print(Text(f"{say(language, '检测后方可判定', 'after the campaign')}{_colon(language)}{told}", "dim"))
     counts: dict[str, int] = {}
     for row in plan.rows:
         counts[row.status] = counts.get(row.status, 0) + 1
     console.print(
-        say(language, "合计", "rows") + ": " + ", ".join(f"{n} {_status(s, language)}" for s, n in counts.items())
+        say(language, "合计：", "rows: ")
+        + say(language, "，", ", ").join(f"{n} {_status(s, language)}" for s, n in counts.items())
     )
+
+
+def _colon(language: Language) -> str:
+    return say(language, "：", ": ")
 
 
 def _status(status: str, language: Language) -> str:
@@ -131,7 +136,7 @@ def _point_table(points: tuple[TargetPoints, ...], language: Language) -> Table:
             least = min(mine, key=lambda p: p.points)
             table.add_row(
                 str(sortie),
-                f"{say(language, *name)}: {len(mine)}",
+                f"{say(language, *name)}{_colon(language)}{len(mine)}",
                 f"{least.points} ({least.target})",
                 f"{sum(p.points for p in mine) / len(mine):.0f}",
                 str(max(p.points for p in mine)),
@@ -162,7 +167,7 @@ def _lines(plan: Plan, language: Language) -> list[tuple[str, str]]:
                 say(language, "太阳", "sun"),
                 say(
                     language,
-                    f"高度角 {low:.1f}° 至 {high:.1f}°；{plan.date} 首条航线可开始的北京时间 (7.2 c)：{spans or '无'}",
+                    f"高度角 {low:.1f}° 至 {high:.1f}°；{plan.date} 首条航线可开始的北京时间（7.2 c）：{spans or '无'}",
                     f"elevation {low:.1f}° to {high:.1f}°; on {plan.date} the first strip may begin {spans or 'never'} "
                     "Beijing time (7.2 c)",
                 ),
@@ -230,8 +235,10 @@ def _accuracy_lines(plan: Plan, language: Language) -> list[tuple[str, str]]:
         parts.append(f"{say(language, *words)} {angles}°, {arms} mm")
     weak = plan.accuracy.weak
     if weak:
-        parts.append(say(language, "本飞行不能确定：", "not determined by this flight: ") + "; ".join(weak))
-    return [(name, "; ".join(parts))]
+        parts.append(
+            say(language, "本飞行不能确定：", "not determined by this flight: ") + say(language, "；", "; ").join(weak)
+        )
+    return [(name, say(language, "；", "; ").join(parts))]
 
 
 def _print_rows(rows: list[PlanRow], console: Console, language: Language) -> None:
@@ -240,7 +247,9 @@ def _print_rows(rows: list[PlanRow], console: Console, language: Language) -> No
     for row in rows:
         style = _STYLE.get(row.status, "")
         limit = own(row.limit, language)
-        text = f"{own(row.requirement, language)}: {own(row.planned, language)}" + (f" [{limit}]" if limit else "")
+        text = f"{own(row.requirement, language)}{_colon(language)}{own(row.planned, language)}" + (
+            f" [{limit}]" if limit else ""
+        )
         if row.remedy:
             text += f"\n→ {own(row.remedy, language)}"
         grid = Table.grid(padding=(0, 1, 0, 0))

@@ -18,7 +18,9 @@ MAX_POINTS = 200_000
 _NAME = r"^[A-Za-z][A-Za-z0-9_]{0,39}$"
 _KEY = r"^[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*$"
 _CALLABLE = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*$"
-RESERVED = frozenset({"id", "row", "replicate", "seed", "status", "reason", "run_time_s", "settings", "versions", "geometry"})
+RESERVED = frozenset(
+    {"id", "row", "replicate", "seed", "status", "reason", "run_time_s", "settings", "versions", "geometry"}
+)
 
 
 class StudyError(TestrangeError):

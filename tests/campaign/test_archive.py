@@ -7,6 +7,7 @@ import os
 import shutil
 import stat
 import struct
+import tempfile
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,7 @@ from campaign.archive_check import check_archive, is_archive
 from campaign.check import check_campaign
 from campaign.errors import CampaignError
 from campaign.folder import CampaignFolder
+from campaign.manifest import read_manifest, write_manifest
 
 STRIP = "data/campaign/sorties/01/lidar/strip_01.las"
 
@@ -244,6 +246,31 @@ def test_what_is_wrong_with_a_zip_is_named(
 ) -> None:
     repack(packed, tmp_path / "spoiled.zip", change)
     assert any(message in line for line in errors(tmp_path / "spoiled.zip")), errors(tmp_path / "spoiled.zip")
+
+
+def test_the_formats_of_a_packed_campaign_are_checked(
+    hand_campaign: CampaignFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: lists and checksums of an archive say that nothing changed, not that it was ever a campaign. Expected: the same
+    problems for the folder and the .zip, named by the place in the archive and by no temporary one, nothing left behind; a disk
+    without room is a warning that says what was not checked. Tolerance: none."""
+    path = hand_campaign.root / "sensors" / "camera.json"
+    path.write_text(path.read_text().replace('"bit_depth"', '"bits"'))
+    write_manifest(hand_campaign.root, read_manifest(hand_campaign.root))
+    write_archive(hand_campaign.root, None, tmp_path / "odd")
+    write_archive(hand_campaign.root, None, tmp_path / "odd.zip")
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    folder, packed = check_archive(tmp_path / "odd"), check_archive(tmp_path / "odd.zip")
+    assert folder == packed
+    assert any(p.severity == "error" and p.where == "data/campaign/sensors/camera.json" for p in packed)
+    assert not any(str(tmp_path) in f"{p.where} {p.message}" for p in packed)
+    assert list(temporary.iterdir()) == []
+    full = shutil.disk_usage(tmp_path)._replace(free=10)
+    monkeypatch.setattr(shutil, "disk_usage", lambda place: full)
+    told = check_archive(tmp_path / "odd.zip")
+    assert [p.severity for p in told] == ["warning"] and "formats of the campaign not checked" in told[0].message
 
 
 def directory_entry(raw: bytearray, name: str) -> int:

@@ -209,6 +209,19 @@ def test_a_height_beyond_the_range_ambiguity_is_refused(height_m: float) -> None
         assert "physics" not in [r.clause for r in below.failing]
 
 
+@pytest.mark.parametrize("parts", ['["bench"]', '["ranging"]'])
+def test_benches_or_a_ranging_line_alone_can_be_planned(parts: str) -> None:
+    """Rationale: a laboratory plans its indoor tests by themselves; the heights of the configuration are not flown then.
+    Expected: a plan without sorties in which nothing fails, in both languages. Tolerance: none."""
+    plan = plan_campaign(load_config(TINY, [f"campaign.parts={parts}"]))
+    assert plan.sorties == () and plan.refusal is None
+    clause = "9.2.2 d" if "bench" in parts else "9.1.2 f"
+    assert any(r.clause == clause and r.status == "pass" for r in plan.rows)
+    for language in ("zh", "en"):
+        console = Console(file=io.StringIO(), width=100)
+        print_plan(plan, console, language)
+
+
 def test_what_cannot_be_built_is_a_row_and_a_refusal() -> None:
     """Rationale: a plan that ends in an error says nothing of what else is wrong. Expected: a failing row with the clause that
     the error names, and the sun of that time beside it."""
