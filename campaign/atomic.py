@@ -16,6 +16,7 @@ _OWN_MARKS = (
     "results.json",
     "score.json",
     "matrix.json",
+    "comparison.json",
     "pairs.json",
     "campaign/manifest.json",
     "results/results.json",

@@ -14,7 +14,7 @@ from pathlib import Path
 from cyclopts import App, CycloptsError
 
 from campaign.errors import TestrangeError
-from testrange.commands import campaigns, family, faults, filing, pairs, study
+from testrange.commands import campaigns, compare, family, faults, filing, pairs, study
 from testrange.commands.options import fail
 
 app = App(
@@ -39,6 +39,7 @@ for _command in (
     study.study,
     family.family,
     pairs.pairs,
+    compare.compare,
     campaigns.schema,
     filing.picture,
 ):
