@@ -333,7 +333,7 @@ class Faults(Model):
         description="range and error in metres, linear between its rows and constant beyond; added to what is measured",
     )
     image_ripple_px: Annotated[float, Field(ge=0.0, le=20.0)] = Field(
-        0.0, description="amplitude of a wavy displacement of the picture on the sensor, which no lens model holds"
+        0.0, description="amplitude of heat shimmer: a wavy displacement of each image, which no lens model holds"
     )
     image_ripple_period_px: Annotated[float, Field(ge=40.0)] = 180.0
     stability_gains: tuple[Positive, ...] = Field(

@@ -134,7 +134,7 @@ def _develop(
     unit: str,
     journal: Journal,
 ) -> None:
-    radiance = rippled(radiance, config.faults)
+    radiance = rippled(radiance, config.faults, path.stem)
     dn = sensor.expose(radiance, config.camera, exposing, config.faults.camera_gain, noise, fixed_pattern)
     images.write_image(path.with_suffix(".tif"), dn, tags)
     images.write_preview(path.with_suffix(".jpg"), sensor.preview(dn, config.camera), tags)

@@ -25,7 +25,7 @@ def marks_in(
     targets = scene.targets
     pixel, depth = camera_maths.project(camera, pose, np.stack([target.mark_m for target in targets]))
     if faults is not None and faults.image_ripple_px:
-        pixel = pixel + ripple_px(faults, pixel)
+        pixel = pixel + ripple_px(faults, pixel, Path(image).stem)
     inside = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < [camera.width_px, camera.height_px]).all(axis=1)
     return [
         files.TrueMark(target=t.id, image=image, u_px=float(uv[0]), v_px=float(uv[1]), visible=bool(seen))

@@ -1,8 +1,10 @@
-"""A wavy displacement of the picture on the sensor: film that is not flat, a sensor warped by heat. No lens model holds it.
+"""Heat shimmer: the air over warm ground displaces the picture in waves, in each image otherwise. No lens model holds it.
 
 The picture is rendered with the true lens and then displaced, before the sensor's noise: pictures that differ in it share a
 render. Radiance is carried along unchanged; the displacement's own magnification (2 pi amplitude / period) is left out.
 """
+
+import zlib
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -10,15 +12,13 @@ from scipy.ndimage import map_coordinates
 from campaign.config import Config, Faults
 from campaign.errors import ConfigError
 
-# Directions of the two waves in the picture and their phases, in radians: along neither its rows nor its columns.
-_ALONG_U, _PHASE_U = 0.62, 0.9
-_ALONG_V, _PHASE_V = 2.05, 2.3
+_ACROSS_RAD = 1.43  # between the directions of the two waves
 _STEEPEST = 0.5  # displacement's greatest slope: beyond, the picture nearly folds
 _ITERATIONS = 40
 
 
-def ripple_px(faults: Faults, uv_px: np.ndarray) -> np.ndarray:
-    r"""Displacement of what the lens would show at a pixel.
+def ripple_px(faults: Faults, uv_px: np.ndarray, image: str) -> np.ndarray:
+    r"""Displacement of what the lens would show at a pixel of one image.
 
     .. math:: \Delta u = a \sin(2\pi\, e_u \cdot x / T + \varphi_u), \quad \Delta v = a \sin(2\pi\, e_v \cdot x / T + \varphi_v)
 
@@ -26,6 +26,8 @@ def ripple_px(faults: Faults, uv_px: np.ndarray) -> np.ndarray:
     ----------
     uv_px : (..., 2) np.ndarray
         By the lens alone. [px]
+    image : str
+        Name of its file without the ending: each has directions and phases of its own.
 
     Returns
     -------
@@ -34,9 +36,11 @@ def ripple_px(faults: Faults, uv_px: np.ndarray) -> np.ndarray:
     """
     turns = 2.0 * np.pi / faults.image_ripple_period_px
     u, v = uv_px[..., 0], uv_px[..., 1]
+    draw = zlib.crc32(image.encode())
+    along, *phases = (2.0 * np.pi * ((draw >> shift) & 0x3FF) / 1024.0 for shift in (0, 10, 20))
     waves = [
-        np.sin(turns * (np.cos(along) * u + np.sin(along) * v) + phase)
-        for along, phase in ((_ALONG_U, _PHASE_U), (_ALONG_V, _PHASE_V))
+        np.sin(turns * (np.cos(turn) * u + np.sin(turn) * v) + phase)
+        for turn, phase in zip((along, along + _ACROSS_RAD), phases, strict=True)
     ]
     return faults.image_ripple_px * np.stack(waves, axis=-1)
 
@@ -60,15 +64,15 @@ def require_no_fold(config: Config) -> None:
         )
 
 
-def rippled(picture: np.ndarray, faults: Faults) -> np.ndarray:
-    """A picture (h, w) or (h, w, bands) as displaced; itself where there is no ripple."""
+def rippled(picture: np.ndarray, faults: Faults, image: str) -> np.ndarray:
+    """A picture (h, w) or (h, w, bands) as displaced; itself where there is no ripple. `image`: see `ripple_px`."""
     if faults.image_ripple_px == 0.0:
         return picture
     height, width = picture.shape[:2]
     seen = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
     source = seen.copy()
     for _ in range(_ITERATIONS):  # source + ripple(source) = seen; the slope is at most a half
-        step = seen - ripple_px(faults, source) - source
+        step = seen - ripple_px(faults, source, image) - source
         source += step
         if np.abs(step).max() < 1e-6:
             break

@@ -180,7 +180,7 @@ def _develop(
     tags: images.ImageTags,
     journal: Journal,
 ) -> None:
-    grey = rippled(grey, config.faults)
+    grey = rippled(grey, config.faults, path.stem)
     light = np.broadcast_to(grey[:, :, None], (*grey.shape, len(camera.bands)))
     dn = sensor.expose(light, camera, exposing, config.faults.camera_gain, noise, pattern)
     images.write_image(path, dn, tags)
@@ -213,12 +213,12 @@ def _tags(config: Config, camera: Camera, gps_time_s: float, exposure_time_s: fl
 def _write_corners(
     place: CampaignFolder, faults: Faults, lens: Lens, board: Board, plan: tuple[Placement, ...], names: list[str]
 ) -> None:
-    pixel = np.stack([project_board(lens, p, board.corners_m()) for p in plan])
+    pixel = [project_board(lens, p, board.corners_m()) for p in plan]
     arrays = {
         "image": np.array([f"bench/chessboard/{name}" for name in names]),
         "distance_m": np.array([p.distance_m for p in plan]),
         "corner": board.corner_index(),
-        "corner_px": pixel + ripple_px(faults, pixel),
+        "corner_px": np.stack([uv + ripple_px(faults, uv, Path(n).stem) for uv, n in zip(pixel, names, strict=True)]),
         "rotation": np.stack([p.rotation for p in plan]),
         "translation_m": np.stack([p.translation_m for p in plan]),
     }

@@ -69,11 +69,10 @@ def designed(family: Family, progress: Report = silent) -> list[Member]:
 
 def _member(name: str, indicator: Indicator, truth: Truth, purpose: str) -> Member:
     group = GROUP[indicator]
-    parts = PARTS[group] if indicator != "lidar_reflectance_rmse" else ("lidar",)
     return Member(
         name=name,
         group=group,
-        parts=parts,
+        parts=PARTS[group],
         purpose=purpose,
         settings=truth.settings,
         expected=Expected(

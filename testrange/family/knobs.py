@@ -25,7 +25,7 @@ GROUP: dict[Indicator, Group] = {
     "calibration_error": "geometry",
 }
 _CALM_PERCENT = 0.2  # of the series at the sphere that is not varied
-_VERTEX_STD_M, _MARK_STD_PX = 0.0022, 0.06  # of one frustum vertex in one strip, an axis; of a mark in one image
+_VERTEX_STD_M, _MARK_STD_PX = 0.001, 0.02  # of one frustum vertex in one strip, an axis; of a mark in one image
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,9 +199,9 @@ def _geometry(family: Family, indicator: Indicator) -> Knob:
             for k, axis in enumerate(axes):
                 turned = float(moved[k])
                 mounting[f"camera_{kind}_{axis}"] = Value(
-                    value=stated[k] + turned, tolerance=0.002 + float(std[k]) + 0.1 * abs(turned), unit=unit
+                    value=stated[k] + turned, tolerance=0.002 + 2.0 * float(std[k]) + abs(turned), unit=unit
                 )
-                mounting[f"lidar_{kind}_{axis}"] = Value(value=lidar[k], tolerance=0.004, unit=unit)
+                mounting[f"lidar_{kind}_{axis}"] = Value(value=lidar[k], tolerance=0.004 + abs(turned), unit=unit)
         error = true.error
         return Truth(
             settings=(f"faults.image_ripple_px={strength!r}",) if strength else (),

@@ -21,7 +21,7 @@ from simulator.ripple import ripple_px
 _LENS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
 _LENS_STEP = np.array([1e-2, 1e-2, 1e-2, 1e-2, 1e-5, 1e-5, 1e-5, 1e-6, 1e-6])
 _CORNER_STD_PX = 0.02  # how well a corner is found, one axis
-_BLUR_SHARE = 0.004  # of a ripple, averaged away inside the finder's window
+_BLUR_SHARE = 0.005  # of a ripple, averaged away inside the finder's window
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,10 +80,9 @@ class Chessboard:
         return project_board(lens, moved, self._board)
 
     def value(self, amplitude_px: float) -> TrueError:
-        """Formula (19) after the adjustment of lens and poses. The ripple's share that they absorb is found at one amplitude:
-        for those of a family the adjustment is linear to 1e-3."""
+        """Formula (19) after the adjustment of lens and poses."""
         faults = self._config.faults.model_copy(update={"image_ripple_px": amplitude_px})
-        observed = self._pixel + ripple_px(faults, self._pixel)
+        observed = np.stack([uv + ripple_px(faults, uv, f"b_{k:03d}") for k, uv in enumerate(self._pixel, start=1)])
         lens, poses = self._adjusted(observed)
         errors, rms = [], []
         for k in range(len(self._plan)):
@@ -111,7 +110,7 @@ class Chessboard:
         """Nine of the lens and six of each image, by normal equations with the images eliminated one by one."""
         x = np.zeros(9)
         poses = np.zeros((len(self._plan), 6))
-        for _ in range(5):
+        for _ in range(40):
             lens = self._lens_of(x)
             normal, right = np.zeros((9, 9)), np.zeros(9)
             kept = []
@@ -126,7 +125,7 @@ class Chessboard:
             for k, (inverse, ba, br) in enumerate(kept):
                 poses[k] += inverse @ (br - ba @ change) * 1e-4
             x = x + change * _LENS_STEP
-            if np.abs(change).max() < 1e-4:
+            if np.abs(change).max() < 1e-2:  # steps of a hundredth of a pixel or less
                 break
         return self._lens_of(x), poses
 
@@ -176,7 +175,8 @@ class Calibration:
         self._views = []
         for sortie in fly(fixed, scene.layout):
             for strip in sortie.strips:
-                for time in strip.exposure_s:
+                for number, time in enumerate(strip.exposure_s, start=1):
+                    name = f"s{sortie.number:02d}_l{strip.number:02d}_{number:03d}"
                     pose = frame_pose(sortie.motion, mounting, time)
                     pixel, depth = project(camera, pose, marks)
                     edge = 12.0
@@ -184,7 +184,7 @@ class Calibration:
                     inside &= (pixel < [camera.width_px - edge, camera.height_px - edge]).all(axis=1)
                     world_from_body = sortie.motion.world_from_body(np.array([time]))[0]
                     in_body = (marks - sortie.motion.position(np.array([time]))[0]) @ world_from_body
-                    self._views.append((in_body[inside], pixel[inside], np.flatnonzero(inside), strip.height_m))
+                    self._views.append((in_body[inside], pixel[inside], np.flatnonzero(inside), strip.height_m, name))
         self._rotation, self._lever = mounting.rotation, mounting.lever_arm_m
 
     def _predict(self, x: np.ndarray) -> np.ndarray:
@@ -201,10 +201,10 @@ class Calibration:
         """Formula (20) after the adjustment of the camera's mounting, the mean over replicates of noise."""
         faults = self._config.faults.model_copy(update={"image_ripple_px": amplitude_px})
         lens = self._config.camera.lens
-        seen = np.concatenate([pixel for _, pixel, _, _ in self._views])
-        observed = _ideal(lens, seen + ripple_px(faults, seen))
-        target = np.concatenate([index for *_, index, _ in self._views])
-        height = np.concatenate([np.full(len(index), h) for *_, index, h in self._views])
+        seen = np.concatenate([uv + ripple_px(faults, uv, name) for _, uv, _, _, name in self._views])
+        observed = _ideal(lens, seen)
+        target = np.concatenate([index for _, _, index, _, _ in self._views])
+        height = np.concatenate([np.full(len(index), h) for _, _, index, h, _ in self._views])
         steps = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3])
         x = _solved(self._predict, observed, steps)
         left = observed - self._predict(x)
