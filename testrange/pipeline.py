@@ -9,7 +9,7 @@ import resource
 import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -155,12 +155,13 @@ def evaluate(
     keep_going: bool = False,
     languages: Sequence[Language] = ("zh",),
     documents: bool = True,
+    algorithms: Mapping[str, str] | None = None,
 ) -> Run:
     """Evaluates any campaign folder, flown or simulated, into `out`: results.json, report.html, view.html, observations and
     documents. Truth is not looked at.
 
     A folder with an error, or a target that no image or strip holds, is refused; with `keep_going` what is damaged is left
-    out and named in the results.
+    out and named in the results. `algorithms` (slot -> package.module:function) run in a process of their own.
     """
     from evaluator.evaluate import evaluate_campaign
 
@@ -172,7 +173,10 @@ def evaluate(
     progress("check", 1, 1)
     with complete_folder(out, replace) as work:
         try:
-            evaluation = evaluate_campaign(campaign, progress, strict=not keep_going)
+            if algorithms:
+                evaluation = _with_algorithms(campaign, algorithms, progress, strict=not keep_going)
+            else:
+                evaluation = evaluate_campaign(campaign, progress, strict=not keep_going)
         except EvaluationError as error:
             raise CampaignError(
                 str(error), where=str(campaign), remedy=f"{KEEP_GOING} evaluates all the same"
@@ -186,6 +190,16 @@ def evaluate(
         seconds=time.monotonic() - start,
         peak_memory_mb=peak_memory_mb(),
     )
+
+
+def _with_algorithms(
+    campaign: Path, algorithms: Mapping[str, str], progress: ProgressCallback, *, strict: bool
+) -> Evaluation:
+    from evaluator.algorithms.apart import Job, evaluate_apart
+
+    done = evaluate_apart(Job(names=algorithms, campaign=campaign, strict=strict), progress)
+    assert done.evaluation is not None
+    return done.evaluation
 
 
 def run(

@@ -91,6 +91,12 @@ def read_algorithms_file(path: Path, campaign: Path | None = None) -> dict[str, 
     return dict(table)
 
 
+def choose(items: Sequence[str], file: Path | None, campaign: Path | None = None) -> dict[str, str]:
+    """What the command line says, on top of what the user's own file says; slot -> name."""
+    named = read_algorithms_file(file, campaign) if file is not None else {}
+    return named | parse_assignments(items)
+
+
 def put_current_folder_on_path(campaign: Path | None = None) -> None:
     """As `python -m` does, so that a function in a file beside the user is found; not where the campaign itself is current."""
     here = Path.cwd()

@@ -104,6 +104,8 @@ def evaluate(
     *,
     out: Path | None = None,
     keep_going: Annotated[bool, Parameter(negative="", show_default=False)] = False,
+    algorithm: Annotated[tuple[str, ...], Parameter(negative="", show_default=False)] = (),
+    algorithms: Path | None = None,
     language: Lang = "zh",
     documents: Documents = True,
     replace: Replace = False,
@@ -120,12 +122,22 @@ def evaluate(
         Results folder, results/ beside the campaign by default.
     keep_going
         Evaluate a folder that has errors: what is damaged is left out and named.
+    algorithm
+        A function of your own in place of one of the evaluator's, as slot=package.module:function; may be repeated.
+        docs/your_own_algorithm.md names the slots.
+    algorithms
+        A TOML file of your own with the same in a table [algorithms].
     """
     from testrange import pipeline
     from testrange.progress import display
 
     campaign = pipeline.inside_run(campaign)
     target = out or campaign.resolve().parent / "results"
+    chosen = {}
+    if algorithm or algorithms is not None:
+        from evaluator.algorithms.load import choose
+
+        chosen = choose(algorithm, algorithms, campaign)
     with display(quiet=quiet) as progress:
         done = pipeline.evaluate(
             campaign,
@@ -135,6 +147,7 @@ def evaluate(
             keep_going=keep_going,
             languages=languages(language),
             documents=documents,
+            algorithms=chosen,
         )
     report(done, json, language)
 

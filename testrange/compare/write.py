@@ -13,7 +13,7 @@ from evaluator.report.style import font_uri, style, svg_uri
 from evaluator.results import plain, write_json
 from testrange.compare import figures
 from testrange.compare.run import Comparison
-from testrange.compare.statistics import Difference, Interval, same_for_all, summaries
+from testrange.compare.statistics import BOOTSTRAP, NONE, Difference, Interval, T, same_for_all, summaries
 
 _FONT_PLACE = "/*font*/"
 _CHINESE = "U+2E80-9FFF,U+F900-FAFF,U+FF00-FFEF"
@@ -132,6 +132,7 @@ def render_page(comparison: Comparison) -> str:
         failed=[o for o in comparison.outcomes if o.reason or o.failures],
         indicators=INDICATORS,
         number=number,
+        letters={T: "t", BOOTSTRAP: "b", NONE: ""},
     )
     face = f"@font-face{{font-family:'Report SC';src:url({font_uri(page)}) format('woff');unicode-range:{_CHINESE}}}"
     return page.replace(_FONT_PLACE, face, 1)
