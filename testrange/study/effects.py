@@ -102,7 +102,7 @@ class Effects:
 
 def analyse(plan: Plan, rows: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> tuple[Effects, ...]:
     """Effects of every response of the study."""
-    return tuple(_effects(plan, rows, column(name), units.get(name, "")) for name in plan.study.responses)
+    return tuple(_effects(plan, rows, column(name), units.get(column(name), "")) for name in plan.study.responses)
 
 
 def grade_shares(

@@ -15,11 +15,12 @@ Scalar = bool | int | float | str
 Value = Scalar | list[Any]
 SAMPLED: tuple[Design, ...] = ("lhs", "sobol", "morris")
 MAX_POINTS = 200_000
+RUN_TIME = "run_time_s"  # always a column; may be a response
 _NAME = r"^[A-Za-z][A-Za-z0-9_]{0,39}$"
 _KEY = r"^[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*$"
 _CALLABLE = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*$"
 RESERVED = frozenset(
-    {"id", "row", "replicate", "seed", "status", "reason", "run_time_s", "settings", "versions", "geometry"}
+    {"id", "row", "replicate", "seed", "status", "reason", RUN_TIME, "settings", "versions", "geometry"}
 )
 
 
@@ -121,8 +122,9 @@ class Study(Model):
         names = [f.name for f in self.factor]
         if len(set(names)) < len(names):
             raise ValueError("two factors have the same name")
-        columns = [r.removeprefix("indicators.") for r in self.responses]
-        if len({*columns, *names, *RESERVED}) < len(columns) + len(names) + len(RESERVED):
+        columns = [r.removeprefix("indicators.") for r in self.responses if r != RUN_TIME]
+        taken = [*columns, *names, *RESERVED]
+        if len(set(taken)) < len(taken) or self.responses.count(RUN_TIME) > 1:
             raise ValueError("a response is named twice, or as a factor or another column of the table")
         if self.design in SAMPLED:
             for factor in self.factor:

@@ -19,7 +19,7 @@ from campaign.config import Config
 from campaign.errors import ConfigError
 from campaign.load import load_config
 from testrange.study.design import Row, design_rows
-from testrange.study.model import Factor, Level, Study, Value
+from testrange.study.model import RUN_TIME, Factor, Level, Study, Value
 
 # What no rendered frame depends on. Anything else that differs is another geometry: at worst a frame is rendered twice.
 _NOT_SEEN = ("seed", "navigation", "bench", "ranging", "recording", "schema_version")
@@ -105,11 +105,12 @@ def task(plan: Plan, point: Point, *, out: Path, file: Path, cache: bool) -> dic
         "id": point.id,
         "factors": dict(point.factors),
         "seed": point.seed,
-        "responses": list(plan.study.responses),
+        "responses": [name for name in plan.study.responses if name != RUN_TIME],
         "callable": plan.study.callable,
         "folder": str(file.resolve().parent),
         "config": None if point.config is None else point.config.model_dump(mode="json", exclude_none=True),
         "cache": str((out / "cache").resolve()) if cache else None,
+        "work": str((out / "work" / point.id).resolve()),
         "keep": str((out / "runs" / point.id).resolve()) if plan.study.keep else None,
     }
 

@@ -1,5 +1,6 @@
 """A study from its file to its page: plan, run what is not finished, table, analysis, figures."""
 
+import contextlib
 import json
 import re
 import shutil
@@ -20,7 +21,7 @@ from testrange.study.execution import store
 from testrange.study.execution.point import resolve
 from testrange.study.execution.responses import check_name, column
 from testrange.study.execution.schedule import LOST, Outcome, Places, run_all
-from testrange.study.model import Study, load_study
+from testrange.study.model import RUN_TIME, Study, load_study
 from testrange.study.plan import Plan, Point, base_of, make_plan, task
 from testrange.study.table import point_rows, write_table
 
@@ -162,8 +163,14 @@ def _run(
         done += 1
         progress("points", done, len(points))
 
-    with places() as opened:
-        run_all(tasks, opened, finished, lambda point_id: _not_run(point_id, LOST))
+    try:
+        with places() as opened:
+            run_all(tasks, opened, finished, lambda point_id: _not_run(point_id, LOST))
+    finally:  # what a killed worker left behind, in this call or in one before
+        for point in todo:
+            shutil.rmtree(out / "work" / point.id, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            (out / "work").rmdir()
     return len(todo)
 
 
@@ -197,12 +204,12 @@ def _write(
 
 def _units(plan: Plan, out: Path) -> dict[str, str]:
     """Unit of every response, by its column, from the first point that has one."""
-    units: dict[str, str] = {}
+    units: dict[str, str] = {RUN_TIME: "s"}
     for point in plan.points:
         found = store.read_point(out, point.id) or {"values": {}}
         for name, value in found["values"].items():
             if isinstance(value.get("unit"), str):
                 units.setdefault(column(name), value["unit"])
-        if len(units) == len(plan.study.responses):
+        if len(units) >= len(plan.study.responses) - 1:
             break
     return units

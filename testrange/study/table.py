@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from campaign.atomic import complete_file
 from testrange.study.execution.responses import column
-from testrange.study.model import Study
+from testrange.study.model import RUN_TIME, Study
 from testrange.study.plan import Plan, Point
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
 
-RUN_TIME = "run_time_s"
 Outcomes = Mapping[str, Mapping[str, Any]]
 
 
@@ -48,6 +47,8 @@ def _row(study: Study, point: Point, outcome: Mapping[str, Any] | None) -> dict[
     row: dict[str, Any] = {"id": point.id, "row": point.row, **point.factors}
     row |= {"replicate": point.replicate, "seed": point.seed}
     for name in study.responses:
+        if name == RUN_TIME:
+            continue
         value = found["values"].get(name, {})
         row[column(name)] = _float(value.get("value"))
         if study.base is not None:

@@ -208,7 +208,7 @@ def test_the_page_shows_all_and_asks_for_nothing(tmp_path: Path) -> None:
         and "<script" not in page
         and "Height &lt;and&gt; speed" in page
     )
-    assert "flight.speed_m_s" in page and "95 % interval" in page
+    assert effects[0].unit == "pixel" and "flight.speed_m_s" in page and "95 % interval" in page
     assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
     names = {p.name for p in (tmp_path / "a" / "figures").iterdir()}
     for kind in ("grades", "heat", "over-h", "over-v", "effects"):

@@ -105,7 +105,7 @@ def _simulated(task: Mapping[str, Any]) -> dict[str, Any]:
 
     config = Config.model_validate(task["config"])
     rendered = config.model_copy(update={"render": config.render.model_copy(update={"cache": task["cache"]})})
-    with _one_thread(), _workplace(task["keep"]) as place:
+    with _one_thread(), _workplace(Path(task["work"]), task["keep"]) as place:
         campaign = place / "campaign"
         campaign.mkdir()
         simulate_campaign(rendered, campaign)
@@ -123,16 +123,23 @@ def _simulated(task: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @contextlib.contextmanager
-def _workplace(keep: str | None) -> Iterator[Path]:
-    """A temporary folder; with `keep` one that stays, complete or not at all."""
-    if keep is None:
-        with tempfile.TemporaryDirectory(prefix="testrange-point-") as place:
-            yield Path(place)
-        return
-    from campaign.atomic import complete_folder
+def _workplace(work: Path, keep: str | None) -> Iterator[Path]:
+    """A temporary folder below `work`, which the study removes where a worker could not; with `keep` one that stays, complete or
+    not at all."""
+    if keep is not None:
+        from campaign.atomic import complete_folder
 
-    with complete_folder(Path(keep), replace=True) as work:
-        yield work
+        with complete_folder(Path(keep), replace=True) as place:
+            yield place
+        return
+    work.mkdir(parents=True, exist_ok=True)
+    try:
+        with tempfile.TemporaryDirectory(dir=work) as name:
+            yield Path(name)
+    finally:
+        with contextlib.suppress(OSError):  # another attempt's folder is in it, or the other points'
+            work.rmdir()
+            work.parent.rmdir()
 
 
 def _panel_counts(evaluation: "Evaluation") -> dict[str, Any]:

@@ -4,6 +4,7 @@ indicators.ID              one of the eight indicators: value, standard deviatio
 score.QUANTITY.error       a quantity of score.json against truth; also .estimate, .std, .z, and score.max_abs_z
 panel_points.least         LiDAR returns on a panel, all strips together; also .mean, and .per_strip: the mean of panel and strip
 calibration_error_ground_m P_m of each sortie times its ground sampling distance, mean over sorties [m]
+run_time_s                 of the point, on whatever ran it [s]
 results.A.B.C              any number in results.json, by its path
 """
 
@@ -14,6 +15,7 @@ from typing import Any
 from campaign.config import Config
 from campaign.errors import ConfigError
 from evaluator.c10_1_grading import INDICATORS
+from testrange.study.model import RUN_TIME
 
 PANEL_POINTS = ("least", "mean", "per_strip")
 SCORED = ("error", "estimate", "std", "z")
@@ -34,7 +36,7 @@ def check_name(name: str) -> None:
         or name == "score.max_abs_z"
         or (head == "score" and tail.count(".") == 1 and tail.rpartition(".")[2] in SCORED)
         or (head == "panel_points" and tail in PANEL_POINTS)
-        or name == GROUND
+        or name in (GROUND, RUN_TIME)
         or (head == "results" and bool(tail))
     )
     if not known:
@@ -42,7 +44,9 @@ def check_name(name: str) -> None:
             "indicators.ID, score.QUANTITY.error|estimate|std|z, score.max_abs_z, panel_points.least|mean|per_strip, "
         )
         raise ConfigError(
-            "is no response", where=name, expected=f"{expected}{GROUND} or results.PATH; ID: {', '.join(INDICATORS)}"
+            "is no response",
+            where=name,
+            expected=f"{expected}{GROUND}, {RUN_TIME} or results.PATH; ID: {', '.join(INDICATORS)}",
         )
 
 

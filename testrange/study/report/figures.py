@@ -50,11 +50,16 @@ def write_figure(place: Path, drawn: Figure) -> bytes:
 
 def response_title(effects: Effects) -> str:
     """Name and unit, for axes."""
-    name = effects.response
-    if name in INDICATORS:
-        row = INDICATORS[name]
+    name = _plain(effects.response)
+    if effects.response in INDICATORS:
+        row = INDICATORS[effects.response]
         name = f"{row.name_en} {_symbol(row.symbol)}"
     return f"{name} [{effects.unit}]" if effects.unit else name
+
+
+def _plain(text: str) -> str:
+    """A user's text: $ begins no formula."""
+    return text.replace("$", r"\$")
 
 
 def _symbol(symbol: str) -> str:
@@ -84,7 +89,7 @@ def curves(study: Study, rows: Rows, effects: Effects, factor: Factor, by: Facto
         found = [cells.get((level,) if group is None else (level, group)) for level in levels]
         mean = np.array([c[0] if c else math.nan for c in found])
         half = np.array([_half(c, effects) for c in found])
-        label = "" if by is None else f"{by.label or by.name} {_text(group)} {by.unit}".strip()
+        label = "" if by is None else f"{_plain(by.label or by.name)} {_text(group)} {_plain(by.unit)}".strip()
         axes.fill_between(x, mean - half, mean + half, color=colour, alpha=0.15, linewidth=0)
         axes.plot(x, mean, "o-", color=colour, markersize=4, linewidth=1.4, label=label)
     axes.set_ylabel(response_title(effects))
@@ -119,7 +124,7 @@ def scatter(rows: Rows, effects: Effects, factor: Factor) -> Figure:
     m, h = np.array(mean), np.array(half)
     axes.fill_between(at, m - h, m + h, color=SORTIE_COLOURS[0], alpha=0.25, linewidth=0)
     axes.plot(at, m, "-", color=SORTIE_COLOURS[0], linewidth=1.6)
-    axes.set_xlabel(factor.title)
+    axes.set_xlabel(_plain(factor.title))
     axes.set_ylabel(response_title(effects))
     return drawn
 
@@ -177,7 +182,7 @@ def heat_map(rows: Rows, effects: Effects, across: Factor, up: Factor) -> Figure
     low, high = (float(np.nanmin(field)), float(np.nanmax(field))) if np.isfinite(field).any() else (0.0, 1.0)
     for (j, i), value in np.ndenumerate(field):
         dark = np.isfinite(value) and (value - low) < 0.55 * (high - low)
-        text = "failed" if not np.isfinite(value) else f"{value:.3g}"
+        text = "–" if not np.isfinite(value) else f"{value:.3g}"
         axes.text(i, j, text, ha="center", va="center", fontsize=8, color="white" if dark else INK)
     drawn.colorbar(shown, ax=axes, label=response_title(effects))
     return drawn
@@ -241,8 +246,8 @@ def _board(x: Sequence[Value], y: Sequence[Value], across: Factor, up: Factor | 
     axes = drawn.subplots()
     axes.set_xticks(range(len(x)), [_text(v) for v in x])
     axes.set_yticks(range(len(y)), [_text(v) for v in y])
-    axes.set_xlabel(across.title)
-    axes.set_ylabel("" if up is None else up.title)
+    axes.set_xlabel(_plain(across.title))
+    axes.set_ylabel("" if up is None else _plain(up.title))
     axes.grid(False)
     return drawn, axes
 
@@ -256,7 +261,7 @@ def _half(cell: tuple[float, float, int] | None, effects: Effects) -> float:
 
 def _places(axes: Axes, factor: Factor, levels: Sequence[Value]) -> np.ndarray:
     """Where levels stand on the x axis: numbers at their value, names side by side."""
-    axes.set_xlabel(factor.title)
+    axes.set_xlabel(_plain(factor.title))
     if is_number(levels):
         if factor.log:
             axes.set_xscale("log")
@@ -270,7 +275,7 @@ def _places(axes: Axes, factor: Factor, levels: Sequence[Value]) -> np.ndarray:
 
 
 def _text(value: Value | None) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{value:g}" if isinstance(value, float) else _plain(str(value))
 
 
 def _grade_lines(axes: Axes, effects: Effects) -> None:
@@ -318,7 +323,7 @@ def _bars(
             error_kw={"elinewidth": 1.0, "capsize": 3, "ecolor": INK},
         )
     titles = {f.name: f.label or f.name for f in study.factor}
-    axes.set_xticks(range(len(names)), [titles[n] for n in names], rotation=20 if len(names) > 5 else 0)
+    axes.set_xticks(range(len(names)), [_plain(titles[n]) for n in names], rotation=20 if len(names) > 5 else 0)
     axes.axhline(0.0, color=INK, linewidth=0.8)
     axes.set_ylabel(title)
     if zero:

@@ -13,11 +13,10 @@ from campaign.atomic import complete_file
 from evaluator.c10_1_grading import GRADE_ZH, INDICATORS
 from evaluator.report.style import font_uri, style
 from testrange.study.effects import Effects
-from testrange.study.model import SAMPLED, Factor, Study
+from testrange.study.model import RUN_TIME, SAMPLED, Factor, Study
 from testrange.study.plan import Plan
 from testrange.study.report import figures
 from testrange.study.report.says import sentences
-from testrange.study.table import RUN_TIME
 
 MAX_TABLE_ROWS = 500
 _FONT_PLACE = "/*font*/"
@@ -62,7 +61,7 @@ def write_page(out: Path, plan: Plan, rows: Rows, effects: Sequence[Effects]) ->
         labels={point.id: point.labels for point in plan.points},
         geometries=len(plan.groups),
         seconds=sum(row[RUN_TIME] or 0.0 for row in done),
-        responses=[e.response for e in effects],
+        responses=[e.response for e in effects if e.response != RUN_TIME],
         indicators=INDICATORS,
         grade_zh=GRADE_ZH,
         title_of=_title,

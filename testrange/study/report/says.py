@@ -1,5 +1,6 @@
 """What a study says, in sentences with their uncertainty; no figure and no page."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,7 +22,7 @@ def sentences(study: Study, effects: Effects, rows: Sequence[Mapping[str, Any]])
         noise = f"; one point scatters by {effects.noise_std:.3g}{unit} (standard deviation of replicates)"
     out.append(f"Mean of {effects.points} points: {effects.mean:.4g}{unit}{noise}.")
     if effects.left_out:
-        out.append(f"{effects.left_out} points have no value and are left out of means and indices.")
+        out.append(f"{effects.left_out} of {len(rows)} points without a value are left out: {_reason(effects, rows)}.")
     if effects.note:
         out.append(f"{effects.note[0].upper()}{effects.note[1:]}.".replace("..", "."))
     titles = {f.name: f.label or f.name for f in study.factor}
@@ -34,9 +35,18 @@ def sentences(study: Study, effects: Effects, rows: Sequence[Mapping[str, Any]])
 
 
 def _why_none(effects: Effects, rows: Sequence[Mapping[str, Any]]) -> str:
-    reasons = [row.get(f"{effects.response}.reason") or row["reason"] for row in rows]
-    told = next((r for r in reasons if r), "no reason was given")
-    return f"No point has a value: {told}."
+    return f"No point has a value: {_reason(effects, rows)}."
+
+
+def _reason(effects: Effects, rows: Sequence[Mapping[str, Any]]) -> str:
+    """The most frequent one."""
+    found = Counter(
+        row.get(f"{effects.response}.reason") or row["reason"] or "no reason was given"
+        for row in rows
+        if row[effects.response] is None
+    )
+    ((most, count),) = found.most_common(1)
+    return most if len(found) == 1 else f"{most} ({count} of them)"
 
 
 def _main(main: MainEffect, title: str, unit: str, study: Study) -> str:
