@@ -1,11 +1,14 @@
 """Reference pairs: write them, answer them with this evaluator, judge anyone's answers."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from testrange.commands.options import Json, Quiet, Replace, print_json
+
+if TYPE_CHECKING:
+    from testrange.pairs.model import Pair
 
 pairs = App(name="pairs", help="Reference pairs: inputs and 30-digit results of every formula, to test any evaluator.")
 
@@ -14,9 +17,23 @@ PairsFolder = Annotated[
     Parameter(name="--pairs", show_default=False, help="Folder of an earlier `testrange pairs`; else computed anew."),
 ]
 
+Clauses = Annotated[
+    tuple[str, ...],
+    Parameter(
+        negative="", show_default=False, help="Only these clauses' formulas, such as 8.3 or patent; may be repeated."
+    ),
+]
+
 
 @pairs.default
-def write(*, out: Path = Path("out/pairs"), replace: Replace = False, json: Json = False, quiet: Quiet = False) -> int:
+def write(
+    *,
+    out: Path = Path("out/pairs"),
+    clause: Clauses = (),
+    replace: Replace = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> int:
     """Write the reference pairs: pairs.json, one table a formula for spreadsheets, a card with licence and checksums.
 
     `testrange pairs verify ANSWERS.json` judges anyone's answers to them, `testrange pairs answer` gives this evaluator's.
@@ -30,7 +47,7 @@ def write(*, out: Path = Path("out/pairs"), replace: Replace = False, json: Json
     from testrange.progress import display
 
     with display(quiet=quiet) as progress:
-        found = compute_pairs(progress)
+        found = compute_pairs(progress, clause)
     write_pairs(found, out, replace=replace)
     formulas = list(dict.fromkeys(pair.formula for pair in found))
     if json:
@@ -88,7 +105,7 @@ def verify(answers: Path, /, *, pairs: PairsFolder = None, json: Json = False, q
     return 0 if report.of("right") and not report.of("wrong") else 1
 
 
-def _pairs(folder: Path | None, quiet: bool):  # type: ignore[no-untyped-def]
+def _pairs(folder: Path | None, quiet: bool) -> "tuple[Pair, ...]":
     from testrange.pairs.model import read_pairs
     from testrange.pairs.write import compute_pairs
     from testrange.progress import display

@@ -35,7 +35,9 @@ def quantised(value: Any, bits: int) -> float:
 
 
 def exact(value: float | int) -> str:
-    """A double written out in full."""
+    """A double written out in full; it must be the nearest to its own 15 digits, which is all that spreadsheets keep."""
+    if float(f"{value:.15g}") != value:
+        raise PairsError("an input does not survive 15 digits", got=repr(value))
     return format(Decimal(value), "f")
 
 

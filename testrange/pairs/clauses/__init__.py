@@ -26,7 +26,7 @@ FAMILIES: tuple[tuple[str, Callable[[], list[Pair]]], ...] = (
     ("8.2", c8_2.pairs),
     ("8.3", c8_3.pairs),
     ("9.1", c9_1.pairs),
-    ("9.1.2 e", c9_1_air.pairs),
+    ("9.1.2", c9_1_air.pairs),
     ("9.2", c9_2.pairs),
     ("9.2.2", c9_2_lens.pairs),
     ("9.3", c9_3.pairs),

@@ -138,7 +138,7 @@ def _panels(spread_m: float) -> tuple[list[float], list[float], list[float]]:
     """20 panels about 60 m away whose ranges differ by `spread_m` at most."""
     reflectance = [float(c) for c in (5, 20, 40, 60, 100) for _ in range(4)]
     order = (7, 2, 13, 18, 5, 0, 16, 11, 9, 14, 3, 19, 1, 8, 17, 6, 12, 4, 15, 10)
-    range_m = [quantised(60 + mpf(spread_m) * k / 19, 20) for k in order]
+    range_m = [round(60 + spread_m * k / 19, 9) for k in order]
     amplitude = [_amplitude(r, l, d - 4) for r, l, d in zip(reflectance, range_m, _DIGITS, strict=True)]
     return amplitude, range_m, reflectance
 
@@ -152,7 +152,7 @@ def _collinear() -> tuple[list[float], list[float], list[float]]:
 
 def pairs() -> list[Pair]:
     base = (50.0, 50.0, 50.0, 50.0, 50.0)
-    tiny = [50 + k / 2**30 for k in (3, -1, 4, 1, -5)]
+    tiny = [round(50 + k * 1e-9, 9) for k in (3, -1, 4, 1, -5)]
     return [
         _plain("panels", PANELS_LIDAR, PANELS_REFERENCE),
         _plain("grade_limit", [8.0, 17.0, 43.0, 57.0, 97.0], [5.0, 20.0, 40.0, 60.0, 100.0], _SAME, kind="boundary"),

@@ -45,6 +45,9 @@ def _one_pass(x: Sequence[Any]) -> Any:
 _ONE_PASS = "one pass, sum(x^2) - n mean^2, in double precision"
 _N = "n in place of n-1"
 _FRACTION = "a fraction, not percent"
+_OF_MEAN = "standard deviation of the mean"
+# Of two numbers these are the mean itself, or half their distance, as is what n in place of n-1 gives.
+_SAME_OF_TWO = ("median", "middle of the range", "mean absolute deviation", _OF_MEAN)
 _FORMULAS: dict[str, tuple[str, str, str, str, Formula, dict[str, Formula]]] = {
     "f03": (
         "(3)",
@@ -82,7 +85,7 @@ _FORMULAS: dict[str, tuple[str, str, str, str, Formula, dict[str, Formula]]] = {
             _N: lambda v: _sd_n(v["dn"]),
             "no root: the variance": lambda v: _squares(v["dn"]) / (len(v["dn"]) - 1),
             "mean absolute deviation": lambda v: _mean([abs(x - _mean(v["dn"])) for x in v["dn"]]),
-            "standard deviation of the mean": lambda v: _sd(v["dn"]) / sqrt(len(v["dn"])),
+            _OF_MEAN: lambda v: _sd(v["dn"]) / sqrt(len(v["dn"])),
         },
     ),
     "f06": (
@@ -95,7 +98,7 @@ _FORMULAS: dict[str, tuple[str, str, str, str, Formula, dict[str, Formula]]] = {
             _N: lambda v: 100 * _sd_n(v["dn"]) / _mean(v["dn"]),
             "in DN, as (6) is printed": lambda v: _sd(v["dn"]),
             _FRACTION: lambda v: _sd(v["dn"]) / _mean(v["dn"]),
-            "standard deviation of the mean": lambda v: 100 * _sd(v["dn"]) / _mean(v["dn"]) / sqrt(len(v["dn"])),
+            _OF_MEAN: lambda v: 100 * _sd(v["dn"]) / _mean(v["dn"]) / sqrt(len(v["dn"])),
         },
     ),
 }
@@ -123,8 +126,8 @@ def _made(
                 if unit == "DN"
                 else (lambda v: 100 * _one_pass(v["dn"]) / _mean(v["dn"]))
             )
-        if len(dn) < 3:  # the median is the mean, and other mistakes meet
-            own = {_N: own[_N]} if _N in own else {"n-1 in place of n": own["n-1 in place of n"]}
+        if len(dn) == 2:
+            own = {name: f for name, f in own.items() if name not in _SAME_OF_TWO}
         out.append(
             pair(
                 f"{key}_{name}",

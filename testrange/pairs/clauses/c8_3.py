@@ -91,14 +91,14 @@ def pairs() -> list[Pair]:
     ranks = "correlation of ranks"
     percent = [100 * v for v in (0.0625, 0.1875, 0.40625, 0.609375, 0.96875)]
     other = [100 * v for v in (0.078125, 0.203125, 0.421875, 0.640625, 0.9453125)]
-    # 20 panels of one class: reflectances of 50 %, apart by parts of 2^-14 %
+    # 20 panels of one class: reflectances of 50 %, apart by parts of 2^-13 %
     offsets = (0, 3, 1, 4, 1, 5, 9, 2, 6, 5, 3, 5, 8, 9, 7, 9, 3, 2, 3, 8)
-    tight = [50 + k / 2**14 for k in offsets]
+    tight = [50 + k / 2**13 for k in offsets]
     tight_other = [
-        50 + (2 * k + e) / 2**14 for k, e in zip(offsets, (1, 0, 2, 1, 0, 2, 1, 1, 0, 2, 0, 1, 2, 0, 1, 1, 2, 0, 0, 1))
+        50 + (2 * k + e) / 2**13 for k, e in zip(offsets, (1, 0, 2, 1, 0, 2, 1, 1, 0, 2, 0, 1, 2, 0, 1, 1, 2, 0, 0, 1))
     ]
     near_one = [5.0, 20.0, 40.0, 60.0, 100.0]
-    nearly = [x + d / 2**20 for x, d in zip(near_one, (1, -2, 3, -1, 1))]
+    nearly = [round(x + d * 1e-6, 6) for x, d in zip(near_one, (1, -2, 3, -1, 1))]
     cancels = (
         "reflectances this close to their mean differ from it exactly, so subtracting the means first keeps 1e-12 although the "
         "condition number is large"

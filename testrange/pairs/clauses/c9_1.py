@@ -266,8 +266,8 @@ _TRUE = tuple(quantised(x, 12) for x in (12.137, 31.402, 55.871, 79.265, 104.518
 _LIDAR = tuple(
     quantised(t - 0.012 - 150e-6 * t + d / 1000, 12) for t, d in zip(_TRUE, (1.5, -2.25, 0.75, 3.0, -1.25, -0.5, 1.75))
 )
-_NEAR_TRUE = tuple(quantised(1500 + x, 16) for x in (0.0, 0.25, 0.4375, 0.6875, 0.875, 1.125))
-_NEAR_LIDAR = tuple(quantised(t - 0.02 + d / 2**16, 16) for t, d in zip(_NEAR_TRUE, (13, -21, 8, 34, -5, -27)))
+_NEAR_TRUE = tuple(quantised(1500 + x, 10) for x in (0.0, 0.25, 0.4375, 0.6875, 0.875, 1.125))
+_NEAR_LIDAR = tuple(round(t - 0.02 + d * 1e-5, 5) for t, d in zip(_NEAR_TRUE, (13, -21, 8, 34, -5, -27)))
 
 
 def pairs() -> list[Pair]:
@@ -283,7 +283,7 @@ def pairs() -> list[Pair]:
         ),
         _f09(
             "nanometres",
-            [1000 + k / 2**33 for k in (3, -1, 4, 1, -5)],
+            [round(1000 + k * 1e-10, 10) for k in (3, -1, 4, 1, -5)],
             [1000.0] * 5,
             kind="ill_conditioned",
             tolerance_why=_EXACT,

@@ -305,7 +305,7 @@ def pairs() -> list[Pair]:
     far = [[x, y, 0.0] for x, y, _ in _board(4, 3, 0.03125)]
     # a thousandth of a metre before the lens: the depth is a small difference of turned coordinates
     depth = applied(rotation(radians([mpf(a) for a in angles])), [mpf(x) for x in cloud[0]])[2]
-    close = [0.125, -0.0625, quantised(mpf(2) ** -10 - depth, 20)]
+    close = [0.125, -0.0625, round(float(mpf("0.001") - depth), 7)]
     observed = _observed(k, angles, t, cloud, 7)
     projected = _observed(k, angles, t, cloud, 0, size=0.0)
     return [

@@ -157,7 +157,7 @@ def _calibration_pair() -> Pair:
     pixels = []
     for i, pose in enumerate(poses):
         exact = calibration.of_image(i, [mpf(c) for c in lens], [*radians([mpf(a) for a in pose[:3]]), *pose[3:]])
-        noisy = [quantised(c + noise(23 * i + j, 0.03125), 10) for j, c in enumerate(exact)]
+        noisy = [quantised(c + noise(23 * i + j, 0.015625), 10) for j, c in enumerate(exact)]
         pixels += [noisy[j : j + 2] for j in range(0, len(noisy), 2)]
     return pair(
         "c9_2_2_f_calibration",

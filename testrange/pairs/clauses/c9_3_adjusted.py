@@ -192,7 +192,7 @@ def _vertex_from_points(name: str, half_width: float, **more: Any) -> Pair:
             off = noise(6 * k + i, 0.002)
             x, y = ax * run + ay * along, ay * run - ax * along
             z = mpmath.sqrt(2) * run + off
-            points.append([quantised(c, 16) for c in plus([x, y, z], at)])
+            points.append([round(float(c), 9) for c in plus([x, y, z], at)])
             face.append(k + 1)
     return pair(
         f"c9_3_2_d_points_{name}",
@@ -257,12 +257,12 @@ def pairs() -> list[Pair]:
         [0.0, 1.0, 0.7109375, 0.375],
         [0.0078125, -1.0, 0.6953125, 0.125],
     ]
-    tilt = 2.0**-16
+    tilt = 1e-5
     thin = [
         [0.0, 0.0, 1.0, 2.0],
-        [tilt, 0.0, 1.0, 2.0 + 1.5 * tilt],
-        [0.0, tilt, 1.0, 2.0 - 0.8125 * tilt],
-        [-tilt, tilt, 1.0, 2.0 - 2.25 * tilt],
+        [tilt, 0.0, 1.0, round(2.0 + 1.5 * tilt, 9)],
+        [0.0, tilt, 1.0, round(2.0 - 0.8125 * tilt, 9)],
+        [-tilt, tilt, 1.0, round(2.0 - 2.25 * tilt, 9)],
     ]
     return [
         _adjustment("twenty_targets", k, [0.75, -1.25, 0.5], [0.125, -0.25, 0.0625], field, 0),
