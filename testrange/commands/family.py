@@ -14,6 +14,7 @@ family = App(
 )
 
 
+@family.default
 @family.command
 def make(
     family: str = "small",

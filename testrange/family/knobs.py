@@ -139,7 +139,7 @@ def _chessboard(family: Family, indicator: Indicator) -> Knob:
             indicators={indicator: value_of(indicator, true.value_px, true.std_px, true.mistakes)},
         )
 
-    return Knob(indicator=indicator, most=4.0, value=lambda s: solved(s).value_px, truth=truth)
+    return Knob(indicator=indicator, most=2.2, value=lambda s: solved(s).value_px, truth=truth)
 
 
 def _radiometry(family: Family, indicator: Indicator) -> Knob:
@@ -234,5 +234,5 @@ def solve(knob: Knob, wanted: float) -> Truth:
             expected=f"{reach[0]:.3g} to {reach[1]:.3g}",
             remedy="change the settings of its kind of members",
         )
-    strength = brentq(off, 0.0, knob.most, xtol=1e-7, rtol=1e-7, maxiter=60)
+    strength = brentq(off, 0.0, knob.most, xtol=1e-6 * knob.most, rtol=1e-6, maxiter=60)
     return knob.truth(float(f"{strength:.7g}"))

@@ -1,4 +1,5 @@
-"""Writes a family: DIR/members/NAME (campaign folders), DIR/expected/NAME.json, DIR/cards/NAME.md, DIR/truth/NAME, DIR/family.json.
+"""Writes a family: DIR/members/NAME (campaign folders), DIR/expected/NAME.json, DIR/cards/NAME.md, DIR/truth/NAME, DIR/pairs,
+DIR/family.json.
 
 A part that several members share is simulated once and linked; renders are kept by content. A finished member is not made
 again: its expected file is written last and states what it was made of.
@@ -25,6 +26,7 @@ from testrange.family.edits import edit_records
 from testrange.family.knobs import group_config
 from testrange.family.model import INDEX, SCHEMA, Family, Member
 from testrange.faults import REACHES
+from testrange.pairs.write import compute_pairs, write_pairs
 
 WORK = ".work"
 _FLIGHT_PARTS = {"camera": "sorties/*/images", "lidar": "sorties/*/lidar"}
@@ -62,6 +64,8 @@ def make_family(family: Family, out: Path, progress: Report, only: Sequence[str]
         except TestrangeError as error:
             failed[member.name] = str(error)
     progress("members", len(chosen), len(chosen))
+    if family.pairs and not only and not (out / "pairs").is_dir():
+        write_pairs(compute_pairs(progress), out / "pairs")
     there = [m for m in members if (out / "expected" / f"{m.name}.json").is_file()]
     _write_index(family, there, out)
     if len(there) == len(members):

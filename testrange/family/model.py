@@ -71,6 +71,7 @@ class Family(Model):
     boundaries: bool = Field(True, description="members three tolerances to both sides of each boundary")
     violations: tuple[str, ...] | None = Field(None, description="names of violated clauses; all when absent")
     controls: bool = Field(True, description="one member of each kind with nothing wrong")
+    pairs: bool = Field(True, description="the reference pairs of every formula, beside the members")
     replicates: Annotated[int, Field(ge=20, le=5000)] = Field(
         200, description="draws of noise from which a tolerance is estimated"
     )

@@ -20,8 +20,9 @@ from simulator.ripple import ripple_px
 
 _LENS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
 _LENS_STEP = np.array([1e-2, 1e-2, 1e-2, 1e-2, 1e-5, 1e-5, 1e-5, 1e-6, 1e-6])
-_CORNER_STD_PX = 0.02  # how well a corner is found, one axis
-_BLUR_SHARE = 0.005  # of a ripple, averaged away inside the finder's window
+_CORNER_STD_PX = 0.004  # how well a corner is found, one axis
+# Of the shimmer: what a finder averages away inside its window, and what an evaluator's weights of images make of it.
+_BOARD_SHARE, _MARK_SHARE = 0.012, 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +96,7 @@ class Chessboard:
         rng = np.random.default_rng(919)
         noisy = np.concatenate(rms) + _CORNER_STD_PX * rng.standard_normal((norm.size, 2))
         mean = float(np.mean(np.linalg.norm(noisy, axis=1)))
-        std = np.hypot(_BLUR_SHARE * mean, _CORNER_STD_PX / np.sqrt(norm.size))
+        std = np.hypot(_BOARD_SHARE * mean, _CORNER_STD_PX / np.sqrt(norm.size))
         std = float(np.hypot(std, mean - float(norm.mean())))
         return TrueError(
             value_px=mean,
@@ -223,7 +224,7 @@ class Calibration:
         covariance = np.linalg.inv(weighted.T @ weighted)
         std = np.sqrt(np.diag(covariance)) * steps
         # a rotation vector this small is roll, pitch and yaw
-        spread = float(np.hypot(np.std(drawn, ddof=1), _BLUR_SHARE * value))
+        spread = float(np.hypot(np.std(drawn, ddof=1), _MARK_SHARE * value))
         return TrueCalibration(
             error=TrueError(
                 value_px=value,
