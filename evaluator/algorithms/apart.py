@@ -15,17 +15,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from campaign.errors import ConfigError
 from campaign.progress import Report, silent
 from evaluator.algorithms.guard import CALL_LIMIT_S, Calls, took_too_long
 from evaluator.model import EvaluationError
-from evaluator.results import Evaluation
-from evaluator.score_echoes import EchoErrors
+
+if TYPE_CHECKING:  # the child that only imports a function shall not wait for what evaluates
+    from evaluator.results import Evaluation
+    from evaluator.score_echoes import EchoErrors
 
 RUN_LIMIT_S = 4.0 * 3600.0
 _GRACE_S = 2.0  # after which a call that its alarm should have ended is ended with its process
-_START_S = 60.0  # for the interpreter and our own imports, on a busy machine
+_START_S = 180.0  # for the interpreter and our own imports, on a busy machine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,9 +48,9 @@ class Job:
 class Done:
     """What the child gave."""
 
-    evaluation: Evaluation | None
+    evaluation: "Evaluation | None"
     calls: Mapping[str, Calls]
-    echoes: EchoErrors | None = None
+    echoes: "EchoErrors | None" = None
     seconds: float = 0.0  # of the evaluation, without the start of the process
 
 

@@ -11,8 +11,6 @@ from campaign.errors import ConfigError, TestrangeError
 from evaluator.algorithms.apart import Done, Job
 from evaluator.algorithms.guard import guarded
 from evaluator.algorithms.load import load_algorithms, put_current_folder_on_path, told
-from evaluator.evaluate import evaluate_with
-from evaluator.score_echoes import echo_errors
 
 
 def work(job: Job, pipe: Connection) -> Done:
@@ -28,6 +26,9 @@ def work(job: Job, pipe: Connection) -> Done:
     tools, log = guarded(algorithms, limit_s=job.call_limit_s, dead=job.dead, watch=watch, timed=job.timed)
     if job.campaign is None:
         return Done(evaluation=None, calls=log.calls)
+    from evaluator.evaluate import evaluate_with
+    from evaluator.score_echoes import echo_errors
+
     start = time.perf_counter()
     evaluation = evaluate_with(
         job.campaign, lambda *stage: pipe.send(("progress", stage)), tools, log, strict=job.strict
