@@ -7,11 +7,8 @@ keep the base's, so that replicates share their renders.
 
 import hashlib
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +16,8 @@ from campaign.config import Config
 from campaign.errors import ConfigError
 from campaign.load import load_config
 from testrange.study.design import Row, design_rows
+from testrange.study.execution.callables import module_file
+from testrange.study.execution.versions import versions
 from testrange.study.model import RUN_TIME, Factor, Level, Study, Value
 
 # What no rendered frame depends on. Anything else that differs is another geometry: at worst a frame is rendered twice.
@@ -73,8 +72,9 @@ def make_plan(study: Study, file: Path) -> Plan:
     """
     rows = tuple(design_rows(study))
     base = None if study.base is None else load_config(base_of(study.base, file), study.set)
+    code = None if study.callable is None else _code(study.callable, file)
     points = [
-        _point(study, file, base, number, row, replicate)
+        _point(study, file, base, code, number, row, replicate)
         for number, row in enumerate(rows)
         for replicate in range(study.replicates)
     ]
@@ -115,13 +115,6 @@ def task(plan: Plan, point: Point, *, out: Path, file: Path, cache: bool) -> dic
     }
 
 
-@cache
-def versions() -> dict[str, str]:
-    """Of everything that a result depends on."""
-    names = ("testrange", "mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless")
-    return {name: version(name) for name in names} | {"python": ".".join(map(str, sys.version_info[:3]))}
-
-
 def value_and_label(factor: Factor, value: Value | Level) -> tuple[Value, str]:
     """What stands in the table, and what is shown."""
     if isinstance(value, Level):
@@ -138,7 +131,9 @@ def base_of(base: str, file: Path) -> Path | str:
     return beside if Path(base).suffix == ".toml" and not Path(base).is_absolute() else base
 
 
-def _point(study: Study, file: Path, base: Config | None, number: int, row: Row, replicate: int) -> Point:
+def _point(
+    study: Study, file: Path, base: Config | None, code: list[str] | None, number: int, row: Row, replicate: int
+) -> Point:
     shown = [value_and_label(factor, value) for factor, value in zip(study.factor, row)]
     factors = {factor.name: value for factor, (value, _) in zip(study.factor, shown)}
     settings = settings_of(study, row) if base is not None else ()
@@ -161,7 +156,7 @@ def _point(study: Study, file: Path, base: Config | None, number: int, row: Row,
         id=_hash(
             body,
             settings if body is None else None,
-            study.callable,
+            code,
             factors if body is None else None,
             seed,
             study.responses,
@@ -176,6 +171,12 @@ def _point(study: Study, file: Path, base: Config | None, number: int, row: Row,
         config=config,
         reason=reason,
     )
+
+
+def _code(callable_name: str, file: Path) -> list[str]:
+    """Name of a callable, and what its module says where it stands beside the study: another text is another response."""
+    module = module_file(callable_name, str(file.resolve().parent))
+    return [callable_name, "" if module is None else hashlib.sha256(module.read_bytes()).hexdigest()]
 
 
 def _without_cache(config: Config) -> dict[str, Any]:

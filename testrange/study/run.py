@@ -18,9 +18,9 @@ from campaign.threads import thread_count
 from evaluator.results import plain
 from testrange.study.effects import Effects, analyse
 from testrange.study.execution import store
-from testrange.study.execution.point import resolve
+from testrange.study.execution.callables import resolve
 from testrange.study.execution.responses import check_name, column
-from testrange.study.execution.schedule import LOST, Outcome, Places, run_all
+from testrange.study.execution.schedule import LOST, Outcome, Places, not_run, run_all
 from testrange.study.model import RUN_TIME, Study, load_study
 from testrange.study.plan import Plan, Point, base_of, make_plan, task
 from testrange.study.table import point_rows, write_table
@@ -146,7 +146,7 @@ def _run(
     out.mkdir(parents=True, exist_ok=True)
     for point in todo:
         if point.reason is not None:
-            store.write_point(out, _not_run(point.id, point.reason))
+            store.write_point(out, not_run(point.id, point.reason))
     todo = [p for p in todo if p.reason is None]
     if not todo:
         return 0
@@ -165,17 +165,13 @@ def _run(
 
     try:
         with places() as opened:
-            run_all(tasks, opened, finished, lambda point_id: _not_run(point_id, LOST))
+            run_all(tasks, opened, finished, lambda point_id: not_run(point_id, LOST))
     finally:  # what a killed worker left behind, in this call or in one before
         for point in todo:
             shutil.rmtree(out / "work" / point.id, ignore_errors=True)
         with contextlib.suppress(OSError):
             (out / "work").rmdir()
     return len(todo)
-
-
-def _not_run(point_id: str, reason: str) -> Outcome:
-    return {"id": point_id, "status": "failed", "reason": reason, "values": {}, "run_time_s": 0.0, "versions": {}}
 
 
 def _write(

@@ -1,6 +1,7 @@
 """Studies run: resumed, killed, retried, split, on a cluster; always the same table. Responses are cheap callables."""
 
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -124,7 +125,7 @@ def test_a_killed_study_resumes(tmp_path: Path) -> None:
     run_study(quiet, tmp_path / "quiet" / "out", workers=2)
     out = tmp_path / "killed" / "out"
     process = subprocess.Popen([PROGRAM, "study", killed, "--out", out, "--workers", "2", "--quiet"])
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + 200.0
     while len(list(out.glob("points/*.json"))) < 3 and time.monotonic() < deadline:
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
@@ -167,18 +168,41 @@ def test_a_damaged_point_is_run_again(tmp_path: Path) -> None:
     """Rationale: a folder from elsewhere may hold anything. Expected: what is not a point's file counts as not run."""
     study, out = write(tmp_path, "additive"), tmp_path / "out"
     run_study(study, out, workers=1)
-    good = table(out)
+    whole = table(out)
     files = sorted(out.glob("points/*.json"))
-    for file, text in zip(files, ("", "[]", '{"id": "x"}', "[" * 100_000, '{"id": 1e999', "\x00")):
+    good = [file.read_text() for file in files]
+    broken = (
+        "",
+        "[]",
+        '{"id": "x"}',
+        "[" * 100_000,
+        re.sub(r'"value": [^}]*', '"value": 1e999', good[4]),
+        good[5].replace('"done"', "[]"),
+    )
+    for file, text in zip(files, broken):
         file.write_text(text)
     assert run_study(study, out, workers=1).ran == 6
-    assert table(out) == good
+    assert table(out) == whole
 
 
 def test_no_such_function_ends_before_anything_runs(tmp_path: Path) -> None:
-    with pytest.raises(TestrangeError, match="has no missing"):
+    with pytest.raises(TestrangeError, match="has no function missing"):
         run_study(write(tmp_path, "missing"), tmp_path / "out", workers=1)
     assert not (tmp_path / "out").exists()
+
+
+def test_an_edited_function_is_another_response(tmp_path: Path) -> None:
+    """Expected: a point is finished for the text of the module that made it; a module that cannot be read is one line."""
+    study, out = write(tmp_path, "additive"), tmp_path / "out"
+    first = run_study(study, out, workers=1)
+    file = tmp_path / CALLABLES.name
+    file.write_text(file.read_text().replace("3.0 * factors", "4.0 * factors"))
+    second = run_study(study, out, workers=1)
+    assert second.ran == 12
+    assert [b["y"] - a["y"] for a, b in zip(first.rows, second.rows)] == pytest.approx([a["a"] for a in first.rows])
+    file.write_text("1 / 0\n")
+    with pytest.raises(TestrangeError, match="cannot be imported; got ZeroDivisionError"):
+        run_study(study, out, workers=1)
 
 
 class Serial:

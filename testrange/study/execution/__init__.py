@@ -7,5 +7,7 @@ responses  what a response's name means
 schedule   the order of tasks, retries, what a lost worker means; the same for every place
 workers    processes of this machine
 cluster    Dask (extra `cluster`)
+callables  a response of the user's own
+versions   of what a result depends on
 store      points/ID.json: what is finished is never repeated
 """

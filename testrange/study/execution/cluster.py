@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from testrange.study.execution.point import run_point
-from testrange.study.execution.schedule import Outcome, Task
+from testrange.study.execution.schedule import Outcome, Task, not_run
 from testrange.study.model import StudyError
 
 CONNECT_S = 20.0
@@ -21,6 +21,7 @@ class Cluster:
     def __init__(self, address: str, run: Callable[[Task], Outcome] = run_point) -> None:
         self._client, self._wait = _connect(address)
         self._address = address
+        self._given = 0
         self._run = run
         self._futures: dict[str, Any] = {}
 
@@ -38,8 +39,9 @@ class Cluster:
         return len(self._futures) < max(_AHEAD * threads, 1)
 
     def give(self, task: Task) -> None:
+        self._given += 1
         self._futures[task["id"]] = self._client.submit(
-            self._run, dict(task), key=f"{task['id']}-{id(self)}", pure=False
+            self._run, dict(task), key=f"{task['id']}-{id(self)}-{self._given}", pure=False
         )
 
     def next(self) -> list[tuple[str, Outcome | None]]:
@@ -53,17 +55,25 @@ class Cluster:
         ended = [(point_id, future) for point_id, future in self._futures.items() if future.done()]
         for point_id, _ in ended:
             del self._futures[point_id]
-        return [(point_id, _outcome(future)) for point_id, future in ended]
+        return [(point_id, self._outcome(point_id, future)) for point_id, future in ended]
 
-
-def _outcome(future: Any) -> Outcome | None:
-    """None where the worker, or the scheduler's memory of the task, was lost."""
-    if future.status != "finished":
-        return None
-    try:
-        return future.result()
-    except Exception:  # the worker that held the result left before it was fetched
-        return None
+    def _outcome(self, point_id: str, future: Any) -> Outcome | None:
+        """None where the scheduler's memory of the task, or of its result, was lost. Dask itself tries a lost worker's task again
+        (`distributed.scheduler.allowed-failures`)."""
+        if future.status == "error":
+            error = future.exception()
+            if type(error).__name__ == "KilledWorker":
+                return not_run(point_id, "the workers that ran it were lost, as often as the scheduler allows")
+            raise StudyError(
+                "a worker of the cluster cannot run testrange",
+                where=self._address,
+                got=f"{type(error).__name__}: {error}"[:200],
+                remedy="install the same version there",
+            )
+        try:
+            return future.result() if future.status == "finished" else None
+        except Exception:  # the worker that held the result left before it was fetched
+            return None
 
 
 def _connect(address: str) -> tuple[Any, Any]:

@@ -1,20 +1,18 @@
 """One point: simulated, evaluated, scored, reduced to its responses. Runs in a worker, which may be on another machine."""
 
 import contextlib
-import importlib
 import os
-import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from campaign.errors import TestrangeError
 from campaign.threads import THREADS_VARIABLE
-from testrange.study.execution import responses
-from testrange.study.plan import versions
+from testrange.study.execution.callables import from_callable, resolve
+from testrange.study.execution.versions import versions
 
 if TYPE_CHECKING:
     from evaluator.results import Evaluation
@@ -57,42 +55,25 @@ def _where(error: BaseException) -> str:
 
 @contextlib.contextmanager
 def _one_thread() -> Iterator[None]:
-    os.environ[THREADS_VARIABLE] = "1"  # before the renderer is loaded, which takes its threads then
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-    with threadpool_limits(limits=1):
-        yield
+    before = os.environ.get(THREADS_VARIABLE)
+    os.environ[THREADS_VARIABLE] = "1"  # the renderer takes its threads when it is loaded, which is inside
+    try:
+        with threadpool_limits(limits=1):
+            yield
+    finally:
+        if before is None:
+            del os.environ[THREADS_VARIABLE]
+        else:
+            os.environ[THREADS_VARIABLE] = before
 
 
 def _called(task: Mapping[str, Any]) -> dict[str, Any]:
     """A callable named in the study file, found beside it or installed: `function(factors, seed)`."""
-    return responses.from_callable(
+    return from_callable(
         resolve(task["callable"], task["folder"])(task["factors"], task["seed"]), tuple(task["responses"])
     )
-
-
-def resolve(name: str, folder: str) -> Callable[..., Any]:
-    """The function that "package.module:function" means; modules beside the study file come first.
-
-    Raises
-    ------
-    TestrangeError
-        No such module or function.
-    """
-    module, _, attribute = name.partition(":")
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    try:
-        found = getattr(importlib.import_module(module), attribute)
-    except ImportError as error:
-        raise TestrangeError(
-            "cannot be imported", where=name, got=error, remedy="put the module beside the study file"
-        ) from None
-    except AttributeError:
-        raise TestrangeError(f"{module} has no {attribute}", where=name) from None
-    if not callable(found):
-        raise TestrangeError("is no function", where=name)
-    return found
 
 
 def _simulated(task: Mapping[str, Any]) -> dict[str, Any]:
@@ -102,6 +83,7 @@ def _simulated(task: Mapping[str, Any]) -> dict[str, Any]:
     from evaluator.results import build_results, write_results
     from evaluator.score import score_campaign
     from simulator.simulate import simulate_campaign
+    from testrange.study.execution import responses
 
     config = Config.model_validate(task["config"])
     rendered = config.model_copy(update={"render": config.render.model_copy(update={"cache": task["cache"]})})

@@ -8,13 +8,13 @@ run_time_s                 of the point, on whatever ran it [s]
 results.A.B.C              any number in results.json, by its path
 """
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from campaign.config import Config
 from campaign.errors import ConfigError
 from evaluator.c10_1_grading import INDICATORS
+from testrange.study.execution.callables import finite
 from testrange.study.model import RUN_TIME
 
 PANEL_POINTS = ("least", "mean", "per_strip")
@@ -82,37 +82,6 @@ def take(
     return _path(tail, results)
 
 
-def from_callable(found: object, names: tuple[str, ...]) -> dict[str, dict[str, Any]]:
-    """What a callable gave: one number for the only response, or a mapping of responses to numbers.
-
-    Raises
-    ------
-    ConfigError
-        Something else, or a response is missing.
-    """
-    given: Mapping[str, Any] = found if isinstance(found, Mapping) else {names[0]: found} if len(names) == 1 else {}
-    missing = [name for name in names if name not in given]
-    if missing:
-        raise ConfigError(
-            "the callable gave no value of it", where=missing[0], expected="a mapping of responses to numbers"
-        )
-    out = {}
-    for name in names:
-        try:
-            out[name] = _finite({"value": float(given[name])})
-        except (TypeError, ValueError, OverflowError):
-            raise ConfigError("the callable gave no number", where=name, got=repr(given[name])[:60]) from None
-    return out
-
-
-def _finite(found: dict[str, Any]) -> dict[str, Any]:
-    """NaN and infinity are no values."""
-    value = found["value"]
-    if value is None or math.isfinite(value):
-        return found
-    return found | {"value": None, "reason": f"the value is not finite: {value}"}
-
-
 def _panel_points(what: str, counts: Mapping[str, Any]) -> dict[str, Any]:
     """Returns of panels by panel and by (panel, strip)."""
     panels: Mapping[str, int] = counts["panels"]
@@ -152,4 +121,4 @@ def _path(path: str, results: Mapping[str, Any]) -> dict[str, Any]:
             return {"value": None, "reason": f"results.json has no {path}"}
     if isinstance(place, bool) or not isinstance(place, int | float):
         return {"value": None, "reason": f"{path} of results.json is no number"}
-    return _finite({"value": float(place)})
+    return finite({"value": float(place)})

@@ -15,6 +15,11 @@ Task = Mapping[str, Any]
 Outcome = dict[str, Any]
 
 
+def not_run(point_id: str, reason: str) -> Outcome:
+    """The outcome of a point that was never run to its end."""
+    return {"id": point_id, "status": "failed", "reason": reason, "values": {}, "run_time_s": 0.0, "versions": {}}
+
+
 class Places(Protocol):
     """Somewhere to run tasks."""
 

@@ -36,7 +36,7 @@ def read_point(out: Path, point_id: str) -> dict[str, Any] | None:
         return None
     if any(not isinstance(found.get(key), kind) for key, kind in _KEYS.items()):
         return None
-    if any(not isinstance(v, dict) or not _number(v.get("value")) for v in found["values"].values()):
+    if not all(_sound(v) for v in found["values"].values()) or not isinstance(found.get("reason"), str | None):
         return None
     return found
 
@@ -47,5 +47,16 @@ def read_points(out: Path, ids: Iterable[str]) -> dict[str, dict[str, Any]]:
     return {point_id: point for point_id, point in found.items() if point is not None}
 
 
+def _sound(value: object) -> bool:
+    """One response."""
+    if not isinstance(value, dict):
+        return False
+    texts = all(isinstance(value.get(key), str | None) for key in ("grade", "unit", "reason"))
+    return texts and _number(value.get("value")) and _number(value.get("std"))
+
+
 def _number(value: object) -> bool:
-    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+    """A finite one, or none."""
+    if isinstance(value, bool) or not isinstance(value, int | float | None):
+        return False
+    return value is None or abs(value) < 1e300

@@ -7,7 +7,9 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import sys
 import threading
+import warnings
 from collections.abc import Iterator
 from multiprocessing.connection import Connection, wait
 from typing import Any
@@ -103,6 +105,9 @@ def _one_thread_for_children() -> Iterator[None]:
 def _work(pipe: Connection) -> None:
     """A worker's life: tasks in, outcomes out, until the study closes the pipe or ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the study's: it ends its workers
+    os.dup2(2, 1)  # what libraries print is no output of the command
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
     threading.Thread(target=_end_with_parent, daemon=True).start()
     from testrange.study.execution.point import run_point
 
