@@ -9,7 +9,7 @@ from evaluator.documents.model import Cell, Figure, Table
 
 HEAD_LENGTH = 40  # characters of a title or an id that the running head has room for
 TITLE_LENGTH = 200
-TEXT_LENGTH = 1_000_000  # of one cell or paragraph: nothing that a document holds is longer
+TEXT_LENGTH = 20_000  # of one cell or paragraph; the longest of our own has some hundreds
 
 _HIDDEN = {"Cc", "Cs", "Cn", "Co"}  # control, lone surrogate, unassigned, private use
 # Marks that turn the direction of what follows: a file name could read backwards.

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import jinja2
 
+from evaluator.documents.cells import clean
 from evaluator.documents.handbooks_common import blunder
 from evaluator.documents.model import Language
 from evaluator.documents.phrases import time_in_words, translated
@@ -25,6 +26,16 @@ _FONT_PLACE = "/*font*/"
 _CHINESE = "U+2E80-9FFF,U+F900-FAFF,U+FF00-FFEF"
 
 
+_LONGEST = 2_000  # characters of one text of a campaign; ours have some hundreds
+
+
+def _shown(value: object) -> object:
+    """What stands in the page for a value: texts without control and direction characters, cut where they have no end."""
+    if not isinstance(value, str) or hasattr(value, "__html__") or value.startswith("data:"):
+        return value
+    return clean(value, _LONGEST)
+
+
 def render_report(evaluation: Evaluation, score: Score | None, language: Language = "zh") -> str:
     """The report as one HTML text."""
     t = Texts(language)
@@ -35,6 +46,7 @@ def render_report(evaluation: Evaluation, score: Score | None, language: Languag
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
         autoescape=True,
+        finalize=_shown,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -11,6 +11,7 @@ import jinja2
 import numpy as np
 
 from campaign.atomic import complete_file
+from evaluator.documents.cells import TITLE_LENGTH, clean, one_line
 from evaluator.frames import WorldFrame
 from evaluator.report.style import font_uri
 from evaluator.results import Evaluation, plain
@@ -179,8 +180,17 @@ def build_scene(
         "scales": {key: colours.scale(name) for key, name in colours.SCALES.items()},
         "notes": [*notes, *cloud.problems, *problems],
     }
-    made: dict[str, Any] = plain(scene, evaluation.root)
+    made: dict[str, Any] = _clean(plain(scene, evaluation.root))
     return made
+
+
+def _clean(value: Any) -> Any:
+    """The same with texts that turn no reading direction and hold no control character."""
+    if isinstance(value, dict):
+        return {k: _clean(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_clean(v) for v in value]
+    return clean(value, len(value) + 1) if isinstance(value, str) else value
 
 
 def render_view(
@@ -208,8 +218,8 @@ def render_view(
     return environment.get_template("page.html.j2").render(
         language="zh-CN" if language == "zh" else "en",
         words=text,
-        campaign=evaluation.campaign,
-        title=title,
+        campaign=one_line(evaluation.campaign, TITLE_LENGTH),
+        title=one_line(title or "", TITLE_LENGTH),
         synthetic=bool(results.get("synthetic", evaluation.synthetic)),
         scene=scene,
         script=script,

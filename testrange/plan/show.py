@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from evaluator.documents.cells import TITLE_LENGTH, one_line
 from evaluator.documents.model import Language
 from testrange.plan.model import Plan, PlanRow, SortieFigures, TargetPoints
 from testrange.plan.words import STATUS, own, say
@@ -30,9 +31,8 @@ def plan_block(plan: Plan) -> dict[str, Any]:
 
 def print_plan(plan: Plan, console: Console, language: Language) -> None:
     """Figures first, then every row that a plan can answer, then what only the campaign can tell."""
-    console.print(
-        Text(f"{say(language, '飞行前检核', 'plan')} · GB/T 41450-2022 · {plan.campaign} · {plan.title}", "bold")
-    )
+    head = f"{say(language, '飞行前检核', 'plan')} · GB/T 41450-2022 · {plan.campaign} · {plan.title}"
+    console.print(Text(one_line(head, TITLE_LENGTH), "bold"))
     if plan.sorties:
         console.print(_sortie_table(plan.sorties, language))
     if plan.points:

@@ -143,6 +143,20 @@ def test_markup_is_escaped(evaluation: Evaluation, tmp_path: Path, language: str
 
 
 @pytest.mark.usefixtures("quick")
+def test_text_that_turns_the_reading_direction_or_never_ends(evaluation: Evaluation, tmp_path: Path) -> None:
+    """Rationale: a right-to-left override in a title reads "gnp.exe" backwards, an escape character colours a terminal, a reason
+    of a megabyte hides the page. Expected: neither arrives, the letters around them do; a text is cut at some thousand characters.
+    Tolerance: none."""
+    evil = "a\u202eb\u2066c\x1b[31md\x00e\x9bf"
+    page = replace(evaluation, campaign=evil, problems=(evil, "W" * 1_000_000), data=None, **NO_FIGURES)  # type: ignore[arg-type]
+    write_report(tmp_path / "r.html", page, None, "zh")
+    text = (tmp_path / "r.html").read_text()
+    assert not re.search("[\u202a-\u202e\u2066-\u2069\x00-\x08\x0e-\x1f\x7f-\x9f]", text)
+    assert "abc[31mdef" in text
+    assert "W" * 1_000 in text and "W" * 3_000 not in text
+
+
+@pytest.mark.usefixtures("quick")
 def test_bare_report(evaluation: Evaluation, bare_data: CampaignData, tmp_path: Path) -> None:
     """Rationale: a campaign of which nothing could be measured has a report too, which says so. Expected: each indicator is listed
     as not measured with its reason and what it needs; the parts of the folder are "none"; no picture; a field campaign is not

@@ -212,8 +212,9 @@ def test_one_safe_file(flown: Evaluation, tmp_path: Path) -> None:
     machine in it; the notice of a synthetic campaign; the same bytes twice; below 8 MB. Tolerance: none."""
     assert flown.data is not None
     evil = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
-    manifest = flown.data.manifest.model_copy(update={"title": evil, "campaign": "a<b>&amp;"})
-    exposures = tuple(replace(e, image=f"{e.image}<i>") for e in flown.data.sorties[0].exposures)
+    turned = "\u202e\u2066\x1b"
+    manifest = flown.data.manifest.model_copy(update={"title": evil + turned, "campaign": "a<b>&amp;"})
+    exposures = tuple(replace(e, image=f"{e.image}<i>{turned}") for e in flown.data.sorties[0].exposures)
     first = replace(flown.data.sorties[0], exposures=exposures)
     data = replace(flown.data, manifest=manifest, sorties=(first, *flown.data.sorties[1:]))
     bad = replace(flown, data=data, campaign="a<b>&amp;")
@@ -225,6 +226,7 @@ def test_one_safe_file(flown: Evaluation, tmp_path: Path) -> None:
     assert len(text) < 8e6
     assert text.count("<script") == 2
     assert "<img" not in text
+    assert not re.search("[\u202e\u2066\x1b]|u202e|u001b", text)
     assert html.escape(evil, quote=False) in text
     assert any("<i>" in c["image"] for c in scene_of(path)["cameras"])
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)
