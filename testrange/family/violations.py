@@ -73,9 +73,11 @@ def _room(prefix: str, group: Group) -> tuple[Violation, ...]:
 
 VIOLATIONS: tuple[Violation, ...] = (
     _v("instruments_total_station", "9.1.2 c", "ranging", "a total station of 20 mm class for slope distances",
-       "ranging.correction_station.class_mm=20.0", same=("5.3",)),
+       'ranging.correction_station={name="station_A", class_mm=20.0, std_mm=2.0, std_ppm=2.0, additive_constant_mm=-1.4, '
+       "scale_ppm=3.0}", same=("5.3",)),
     _v("reference_station", "9.1.2 k", "ranging", "a total station of 8 mm class for the relative true values",
-       "ranging.reference_station.class_mm=8.0", same=("5.3",)),
+       'ranging.reference_station={name="station_B", class_mm=8.0, std_mm=1.0, std_ppm=1.5, additive_constant_mm=0.6, '
+       "scale_ppm=-1.0}", same=("5.3",)),
     _v("datum_plane", "5.4 a", "records", "coordinates in UTM on WGS 84", "site.projection_epsg=32651", status="warning"),
     _v("datum_time", "5.4 b", "records", "times in UTC", edit="time zone"),
     _v("brightness", "5.5 a", "radiometry", "images exposed for a fifth of full scale",
