@@ -83,7 +83,7 @@ def knob(family: Family, indicator: Indicator) -> Knob:
 
 
 def _sphere(family: Family, indicator: Indicator) -> Knob:
-    from testrange.family.truth_sphere import gains, true_value
+    from testrange.family.truth.sphere import gains, true_value
 
     plain = group_config(family, "sphere")
 
@@ -104,7 +104,7 @@ def _sphere(family: Family, indicator: Indicator) -> Knob:
 
 
 def _ranging(family: Family, indicator: Indicator) -> Knob:
-    from testrange.family.truth_ranging import Ranging, table
+    from testrange.family.truth.ranging import Ranging, table
 
     plain = group_config(family, "ranging")
     line, distances = Ranging(plain), plain.ranging.distances_m
@@ -127,7 +127,7 @@ def _ranging(family: Family, indicator: Indicator) -> Knob:
 
 
 def _chessboard(family: Family, indicator: Indicator) -> Knob:
-    from testrange.family.truth_geometry import Chessboard
+    from testrange.family.truth.geometry import Chessboard
 
     board = Chessboard(group_config(family, "chessboard"))
     solved = lru_cache(maxsize=None)(board.value)
@@ -143,7 +143,7 @@ def _chessboard(family: Family, indicator: Indicator) -> Knob:
 
 
 def _radiometry(family: Family, indicator: Indicator) -> Knob:
-    from testrange.family.truth_reflectance import Radiometry
+    from testrange.family.truth.reflectance import Radiometry
 
     panels = Radiometry(group_config(family, "radiometry"))
     name = {"lidar_reflectance_rmse": "m_f", "reflectance_correlation": "r_f", "reflectance_rmse_relative": "relative"}
@@ -180,7 +180,7 @@ def _radiometry(family: Family, indicator: Indicator) -> Knob:
 
 
 def _geometry(family: Family, indicator: Indicator) -> Knob:
-    from testrange.family.truth_geometry import Calibration
+    from testrange.family.truth.geometry import Calibration
 
     config = group_config(family, "geometry")
     marks = Calibration(config, _VERTEX_STD_M, _MARK_STD_PX)

@@ -19,8 +19,8 @@ from testrange.family.edits import EDITS
 from testrange.family.knobs import GROUP, group_config, knob, solve
 from testrange.family.make import make_family
 from testrange.family.model import BOUNDS, Expected, Family, Value, accepted_grades, grade_of, load_family
-from testrange.family.truth_ranging import Ranging, table
-from testrange.family.truth_sphere import pattern
+from testrange.family.truth.ranging import Ranging, table
+from testrange.family.truth.sphere import pattern
 from testrange.family.verify import verify
 from testrange.family.violations import VIOLATIONS
 
