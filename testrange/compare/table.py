@@ -8,14 +8,21 @@ from testrange.compare.statistics import same_for_all, summaries
 from testrange.compare.write import number
 from testrange.tables import _table as table
 
+_WIDTH_OF_NAMES = 60  # beyond which columns get letters
+
 
 def print_comparison(comparison: Comparison, out: Console) -> None:
     names = [c.name for c in comparison.contenders]
+    heads = names
+    if sum(len(n) + 2 for n in names) > _WIDTH_OF_NAMES:
+        heads = [chr(ord("A") + k) for k in range(len(names))]
+        for head, name in zip(heads, names, strict=True):
+            out.print(Text(f"{head}: {name}"))
     rows = summaries(comparison.outcomes, names)
     alike = same_for_all(comparison.outcomes)
     count = len(comparison.campaigns)
     title = f"RMS error against truth/, {count} campaign{'s' if count > 1 else ''}"
-    shown = table(title, [("quantity", "left"), ("n", "right"), *((n, "right") for n in names)])
+    shown = table(title, [("quantity", "left"), ("n", "right"), *((n, "right") for n in heads)])
     for quantity in dict.fromkeys(r.quantity for r in rows if r.quantity not in alike):
         mine = {r.contender: r for r in rows if r.quantity == quantity}
         first = next(iter(mine.values()))
@@ -42,7 +49,7 @@ def print_comparison(comparison: Comparison, out: Console) -> None:
         out.print(shown)
         for method in dict.fromkeys(d.method for d in told):
             out.print(Text(f"intervals: {method}", style="dim"))
-    shown = table("run time [s]", [("campaign", "left"), *((n, "right") for n in names)])
+    shown = table("run time [s]", [("campaign", "left"), *((n, "right") for n in heads)])
     for campaign in comparison.campaigns:
         seconds = [o.seconds for o in comparison.outcomes if o.campaign == campaign]
         shown.add_row(campaign, *("–" if s is None else f"{s:.1f}" for s in seconds))

@@ -299,10 +299,11 @@ def test_what_cannot_be_imported_is_told_in_one_line(in_folder: Path, name: str,
 
 
 def lean(run: Path, target: Path) -> Path:
-    """The small campaign without benches, ranging line and images: what the LiDAR's slots need."""
+    """One strip of the small campaign, without benches, ranging line and images: what the LiDAR's slots need."""
 
     def leave_out(folder: str, names: list[str]) -> set[str]:
-        return {"bench", "ranging", "images", "truth"} & set(names)
+        others = {name for name in names if name.startswith("strip_") and not name.startswith("strip_01")}
+        return ({"bench", "ranging", "images", "truth", "02"} & set(names)) | others
 
     shutil.copytree(run / "campaign", target, ignore=leave_out)
     return target
@@ -372,7 +373,8 @@ def test_one_that_cannot_be_stopped_costs_its_slot_and_nothing_else(tiny_run: Pa
     assert results["algorithms"] == names
     reason = results["indicators"]["lidar_reflectance_rmse"]["reason"]
     assert reason == "reflectance_model bad_algorithms:ends_the_process: ended the process with code 3"
-    assert any(r["clause"] == "5.5 b" and r["status"] == "pass" for r in results["conformity"])  # points on panels
+    counted = [r for r in results["conformity"] if r["clause"] == "5.5 b"]  # points on panels: our own part went on
+    assert counted and {r["status"] for r in counted} <= {"pass", "fail"}
 
 
 def test_our_own_solvers_serve_in_the_form_of_the_slots() -> None:
