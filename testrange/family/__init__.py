@@ -11,5 +11,5 @@ truth/      reference values from what the simulation knows, by the standard's f
 make        campaign folders, expected files and cards; resumes
 cards       what a member says of itself
 evaluate    this project's evaluator over the members
-verify      somebody's results against what is expected, ; mistakes: their names where they can be told
+verify      somebody's results against what is expected; mistakes: their names where they can be told
 """

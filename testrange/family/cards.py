@@ -1,6 +1,6 @@
 """What a member, and a family, says of itself: Markdown for people. The files' checksums are in each member's manifest.json."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from campaign.manifest import read_manifest
@@ -56,9 +56,9 @@ def _told(expected: Expected) -> list[str]:
     return lines
 
 
-def readme_text(family: Family, members: Sequence[Member]) -> str:
-    """README.md of a family's folder."""
-    rows = [f"| [{m.name}](cards/{m.name}.md) | {m.purpose} |" for m in members]
+def readme_text(family: Family, members: Mapping[str, str]) -> str:
+    """README.md of a family's folder; `members`: name -> purpose."""
+    rows = [f"| [{name}](cards/{name}.md) | {purpose} |" for name, purpose in members.items()]
     return "\n".join(
         [
             f"# {family.title}",

@@ -2,6 +2,8 @@
 at a time, and a control of each kind with nothing wrong.
 """
 
+from collections.abc import Sequence
+
 from campaign.progress import Report, silent
 from testrange.family.knobs import GROUP, Knob, Truth, knob, solve
 from testrange.family.model import (
@@ -40,8 +42,8 @@ def middle(indicator: Indicator, grade: Grade) -> float:
     return 0.5 * (edges[0] + edges[1])
 
 
-def designed(family: Family, progress: Report = silent) -> list[Member]:
-    """Every member, its faults solved for.
+def designed(family: Family, progress: Report = silent, only: Sequence[str] = ()) -> list[Member]:
+    """Every member, its faults solved for; `only` those whose name begins with one of these.
 
     Raises
     ------
@@ -52,19 +54,26 @@ def designed(family: Family, progress: Report = silent) -> list[Member]:
     stages = len(family.indicators) + 1
     for done, indicator in enumerate(family.indicators):
         progress("design", done, stages)
+        control = f"control.{GROUP[indicator]}"
+        if not any(_may_begin(name, only) for name in (f"{indicator}.", control)):
+            continue
         moves = knob(family, indicator)
         members += [_in_grade(moves, grade) for grade in family.grades]
         if family.boundaries:
             members += _beside(moves)
         if family.controls and indicator in _CONTROLS.values():
             what = "nothing wrong but what every sensor has"
-            members.append(_member(f"control.{GROUP[indicator]}", indicator, moves.truth(0.0), what))
+            members.append(_member(control, indicator, moves.truth(0.0), what))
     progress("design", stages - 1, stages)
     if family.controls:
         members.append(_plain_control())
     members += violation_members(family.violations)
     progress("design", stages, stages)
-    return members
+    return [m for m in members if not only or m.name.startswith(tuple(only))]
+
+
+def _may_begin(name: str, only: Sequence[str]) -> bool:
+    return not only or any(name.startswith(o) or o.startswith(name) for o in only)
 
 
 def _member(name: str, indicator: Indicator, truth: Truth, purpose: str) -> Member:

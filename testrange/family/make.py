@@ -53,8 +53,7 @@ def make_family(family: Family, out: Path, progress: Report, only: Sequence[str]
         A configuration is wrong, or a value that cannot exist; nothing is made then.
     """
     _claim(family, out)
-    members = designed(family, progress)
-    chosen = [m for m in members if not only or m.name.startswith(tuple(only))]
+    chosen = designed(family, progress, only)
     failed: dict[str, str] = {}
     made = 0
     for done, member in enumerate(chosen):
@@ -66,9 +65,9 @@ def make_family(family: Family, out: Path, progress: Report, only: Sequence[str]
     progress("members", len(chosen), len(chosen))
     if family.pairs and not only and not (out / "pairs").is_dir():
         write_pairs(compute_pairs(progress), out / "pairs")
-    there = [m for m in members if (out / "expected" / f"{m.name}.json").is_file()]
+    there = [m for m in chosen if (out / "expected" / f"{m.name}.json").is_file()]
     _write_index(family, there, out)
-    if len(there) == len(members):
+    if not only and len(there) == len(chosen):
         shutil.rmtree(out / WORK, ignore_errors=True)
     return Made(names=tuple(m.name for m in chosen), made=made, failed=failed)
 
@@ -90,15 +89,27 @@ def _claim(family: Family, out: Path) -> None:
 
 
 def _write_index(family: Family, members: Sequence[Member], out: Path) -> None:
+    entries = {e["name"]: e for e in _entries(out) if (out / "expected" / f"{e['name']}.json").is_file()}
+    entries |= {m.name: {"name": m.name, "group": m.group, "purpose": m.purpose} for m in members}
+    listed = [entries[name] for name in sorted(entries)]
     block = {
         "schema": SCHEMA,
         "family": family.name,
         "title": family.title,
         "licence": "CC-BY-4.0",
-        "members": [{"name": m.name, "group": m.group, "purpose": m.purpose} for m in members],
+        "members": listed,
     }
     _write(out / INDEX, json.dumps(block, ensure_ascii=False, indent=1) + "\n")
-    _write(out / "README.md", readme_text(family, members))
+    _write(out / "README.md", readme_text(family, {e["name"]: e["purpose"] for e in listed}))
+
+
+def _entries(out: Path) -> list[dict[str, str]]:
+    """Members that the index names already."""
+    try:
+        found = json.loads((out / INDEX).read_text(encoding="utf-8"))["members"]
+        return [{key: str(entry[key]) for key in ("name", "group", "purpose")} for entry in found]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
 
 
 def _write(path: Path, text: str) -> None:
