@@ -50,7 +50,7 @@ def orthogonal_planes(task: VertexTask, /) -> FoundVertex | str:
         if len(known) < 3:
             return f"{len(known)} faces with at least {_LEAST_POINTS} returns"
         across = np.array([p[0] for p, _ in known])
-        vertex = np.linalg.lstsq(across, np.array([p[0] @ p[1] for p, _ in known]), rcond=None)[0]
+        vertex = common_point(across, np.array([p[0] @ p[1] for p, _ in known]))
     variance = np.array([_variance(points[good & (face == k)], p, vertex) for p, k in known])
     inverse = np.linalg.inv(across.T @ (across / variance[:, None]))
     return FoundVertex(
@@ -60,6 +60,16 @@ def orthogonal_planes(task: VertexTask, /) -> FoundVertex | str:
         faces=len(known),
         rms_m=float(np.sqrt(np.mean([p[2] for p, _ in known]))),
     )
+
+
+def common_point(normals: np.ndarray, distances_m: np.ndarray) -> np.ndarray:
+    """The point whose squared distances to planes n x = d have the least sum: (k, 3), (k,) -> (3,). [m]
+
+    References
+    ----------
+    GB/T 41450-2022, 9.3.2 d.
+    """
+    return np.asarray(np.linalg.lstsq(normals, distances_m, rcond=None)[0])
 
 
 def _plane(points: np.ndarray, stated: np.ndarray) -> tuple[np.ndarray, np.ndarray, float] | None:

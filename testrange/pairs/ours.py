@@ -37,7 +37,7 @@ from evaluator.frames import euler_angles, euler_rotation
 from evaluator.model import EvaluationError, Mounting
 from evaluator.mounting_model import observe_points
 from evaluator.observe.half_window import half_window_centre
-from evaluator.other_methods.vertices import orthogonal_planes
+from evaluator.other_methods.vertices import common_point, orthogonal_planes
 from evaluator.single_instant import rigid_by_pixels
 from testrange.pairs.build import numbers
 from testrange.pairs.model import Pair
@@ -53,7 +53,7 @@ _NOTHING_KNOWN = 1e9  # rad and m: the standard deviation of a prior that says n
 
 
 def ours(pairs: Iterable[Pair]) -> dict[str, Answer]:
-    """Answers to the pairs for which the evaluator has a function, by id."""
+    """Answers to the pairs, by id; none where the evaluator has no such function."""
     out: dict[str, Answer] = {}
     for pair in pairs:
         call = call_for(pair.id)
@@ -281,6 +281,7 @@ CALLS: dict[str, Callable[[Values], Any]] = {
     "c9_2_2_f": _calibration,
     "c9_2_2_g": lambda v: undistorted_px(_lens(v["intrinsics"], v["distortion"]), v["pixels"]),
     "c9_3_2_d_points": _vertex,
+    "c9_3_2_d_vertex": lambda v: common_point(v["planes"][:, :3], v["planes"][:, 3]),
     "f20": lambda v: calibration_error(v["errors"]),
     "f20_b2_coordinates": lambda v: calibration_error(residual_norms(v["projected"], v["observed"])),
     "f21": lambda v: _turn(v["angles"]),

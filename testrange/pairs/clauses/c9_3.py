@@ -264,5 +264,7 @@ def pairs() -> list[Pair]:
         _rotation("near_gimbal_lock", [10.0, 89.5, -20.0], kind="boundary"),
         _twenty_two("photo", 3000.0, [2.25, -1.5, 31.75], [0.125, -0.0625, 0.1875], down),
         _twenty_three("photo", 3000.0, [2.25, -1.5, 31.75], [0.125, -0.0625, 0.1875], down[1], [905.5, -475.25]),
+        _twenty_two("large_angles", 3652.5, [-12.25, 21.5, 200.75], [-0.375, 0.25, 0.5], down[:2]),
+        _twenty_three("large_angles", 3652.5, [-12.25, 21.5, 200.75], [-0.375, 0.25, 0.5], down[3], [-1250.5, 975.25]),
         _twenty_four("four_targets", k, [2.25, -1.5, 31.75], [0.125, -0.0625, 0.1875], scatter),
     ]

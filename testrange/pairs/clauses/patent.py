@@ -383,9 +383,11 @@ def pairs() -> list[Pair]:
     along = [[-2.0, -2.25, -45.0], [0.0, 0.25, -45.125], [2.25, 2.0, -44.875]]
     return [
         _s3_pair("banked", attitude, _HERE),
+        _s3_pair("southward", [-8.5, 4.25, 200.5], [-3.5, 2.25, -61.0]),
         _s4_pair("square_on", (13, 15), (1, 0), 10),
         _s4_pair("turned", (15, 12), (3, 1), 10),
         _s5_pair("banked", attitude, mounting, shift),
+        _s5_pair("southward", [-8.5, 4.25, 200.5], [-2.25, 1.5, 3.75], [-0.125, 0.0625, 0.03125]),
         _s6_pair(attitude, mounting, shift),
         _s7_pair("four_headings", crossed, over, 0),
         _s7_pair("one_heading", straight, along, 30, kind="ill_conditioned"),

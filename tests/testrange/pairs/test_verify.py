@@ -6,6 +6,8 @@ from decimal import Decimal
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from testrange.cli import call
 from testrange.pairs.model import Input, Pair, PairsError, Result, read_pairs
@@ -99,6 +101,23 @@ def test_what_is_no_answer_is_a_wrong_one(answer: object, remark: str) -> None:
     (verdict,) = verify([pair("a", "1")], {"a": answer}).verdicts  # type: ignore[dict-item]
     assert (verdict.status, verdict.remark) == ("wrong", remark)
     json.dumps(vars(verdict), allow_nan=False)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(JSON)
+def test_any_json_gets_a_verdict(answer: object) -> None:
+    """A law for all inputs: a verdict that JSON can hold, right only within the tolerance, never an error."""
+    (verdict,) = verify([pair("a", "1", mistakes={"m": ("2",)})], {"a": answer}).verdicts  # type: ignore[dict-item]
+    json.dumps(vars(verdict), allow_nan=False)
+    if verdict.status == "right":
+        assert verdict.error_in_tolerances is not None and verdict.error_in_tolerances <= 1.0
 
 
 def test_a_far_answer_has_a_finite_error() -> None:
