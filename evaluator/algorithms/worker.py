@@ -41,9 +41,19 @@ def work(job: Job, pipe: Connection) -> Done:
 def main() -> None:
     warnings.simplefilter("ignore")
     pipe = Connection(int(sys.argv[1]))
+    try:
+        _answer(pipe)
+    except (BrokenPipeError, ConnectionResetError, EOFError):  # nobody listens any more
+        os._exit(1)
+
+
+def _answer(pipe: Connection) -> None:
+    """The result, or in one line why there is none."""
     job = pipe.recv()
     try:
         pipe.send(("done", work(job, pipe)))
+    except (BrokenPipeError, ConnectionResetError):
+        raise
     except ConfigError as error:
         pipe.send(("config", str(error)))
     except TestrangeError as error:
