@@ -369,8 +369,12 @@ def read_results(path: Path) -> dict[str, Any]:
     EvaluationError
         No such file, not JSON, another schema, or blocks that are not there.
     """
+    if path.exists() and not path.is_file():  # a pipe would be waited for
+        raise EvaluationError("is no plain file", where=str(path), expected="results.json of testrange evaluate")
     try:
         content = json.loads(path.read_bytes())
+    except RecursionError:
+        raise EvaluationError("cannot be read as JSON: nested too deep", where=str(path)) from None
     except FileNotFoundError:
         raise EvaluationError("no such file", where=str(path), remedy="run testrange evaluate first") from None
     except (OSError, ValueError) as error:

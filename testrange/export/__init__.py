@@ -45,12 +45,14 @@ def export_campaign(
     Raises
     ------
     CampaignError
-        The folder lacks what the format needs, `out` is occupied, or a package of an extra is not installed.
+        The folder lacks what the format needs, `out` is occupied, lies in the campaign, or a package of an extra is not installed.
     EvaluationError
         results.json is of another campaign or cannot be read.
     """
     if to not in FORMATS:
         raise CampaignError("no such format", where="--to", got=to, expected=", ".join(FORMATS))
+    if out.resolve().is_relative_to(campaign.resolve()):
+        raise CampaignError("lies inside the campaign that is exported", where=str(out), remedy="choose another place")
     source = open_source(campaign, results)
     if to == "mcap" and out.suffix == ".mcap":
         from testrange.export.bag import write_bag

@@ -202,6 +202,12 @@ def open_source(campaign: Path, results: Path | None) -> Source:
     return _with_results(replace(plain, results=content, results_folder=file.parent), content, file)
 
 
+def check_lens(found: Lens | None, stated: Lens | None) -> None:
+    """ValueError where a lens of results.json cannot be the camera's: more than a factor of two from the sheet's."""
+    if found is not None and stated is not None and not 0.5 < found.fx_px / stated.fx_px < 2.0:
+        raise ValueError(f"fx_px is {found.fx_px:.5g}, the sheet's {stated.fx_px:.5g}")
+
+
 def _with_results(plain: Source, content: dict[str, Any], file: Path) -> Source:
     """What the results adjusted, in the place of what the sheets state."""
     block = content["mounting"]
@@ -212,6 +218,7 @@ def _with_results(plain: Source, content: dict[str, Any], file: Path) -> Source:
         clocks = dict(zip(block["names"], block["estimates"]))
         companions = content["indicators"]["calibration_error"]["companions"]
         lens, lens_line = _lens(plain, content, str(companions.get("interior_orientation", "")))
+        check_lens(lens, plain.lens)
         correction = _ranges(content, str(companions.get("ranges", "")))
         return replace(
             plain,
@@ -226,7 +233,7 @@ def _with_results(plain: Source, content: dict[str, Any], file: Path) -> Source:
             + ("as measured" if correction is None else "corrected by (15)"),
         )
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        got = f"{type(error).__name__} {error}"[:100]
+        got = " ".join(f"{type(error).__name__} {error}".split())[:100]
         raise EvaluationError("its mounting block cannot be read", where=str(file), got=got) from None
 
 

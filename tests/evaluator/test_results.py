@@ -143,6 +143,7 @@ def test_plain_values() -> None:
     [
         (None, "no such file"),
         ("{", "cannot be read as JSON"),
+        ("[" * 200_000 + "]" * 200_000, "nested too deep"),
         ("[]", "expected schema 1"),
         ('{"schema": 2}', "got 2; expected schema 1"),
         ('{"schema": 1, "campaign": 7}', "'campaign' is missing"),

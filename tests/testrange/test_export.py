@@ -162,11 +162,15 @@ def test_targets_occupied_or_unknown_are_refused(tiny_run: Path, tmp_path: Path)
     with pytest.raises(CampaignError, match="already exists"):
         export_campaign(tiny_run / "campaign", tmp_path / "one.mcap", "mcap")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["full", "one.mcap"]
+    inside = tiny_run / "campaign" / "sorties" / "colmap"  # would be a file that the manifest does not know
+    with pytest.raises(CampaignError, match="lies inside the campaign that is exported"):
+        export_campaign(tiny_run / "campaign", inside, "colmap")
+    assert not inside.exists()
 
 
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """Expected: one line that says what to install."""
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     monkeypatch.delitem(sys.modules, "testrange.export.bag", raising=False)
-    with pytest.raises(CampaignError, match=r"mcap is not installed; install the extra: pip install testrange\[mcap\]"):
+    with pytest.raises(CampaignError, match=r"mcap is not installed; \.venv/bin/python -m pip install mcap"):
         importlib.import_module("testrange.export.bag")
