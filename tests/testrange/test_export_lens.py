@@ -11,7 +11,7 @@ def test_a_lens_far_from_the_sheet_is_refused() -> None:
     differ by more than a factor of two; no word otherwise. Tolerance: a refocused lens moves by some percent."""
     stated = Lens(fx_px=3000.0, fy_px=3000.0, cx_px=1536.0, cy_px=1024.0)
     for fx_px in (1e308, 100.0):
-        with pytest.raises(ValueError, match="fx_px is .*, the sheet's 3000"):
+        with pytest.raises(ValueError, match=r"fx_px is .*, the sheet's 3000"):
             check_lens(stated.model_copy(update={"fx_px": fx_px}), stated)
     check_lens(stated.model_copy(update={"fx_px": 3054.0}), stated)
     check_lens(None, stated)
