@@ -40,7 +40,9 @@ EXTRA = "rerun"
 def _refuse_without_extra() -> None:
     if importlib.util.find_spec("rerun") is None:
         raise TestrangeError(
-            "rerun-sdk is not installed", where="--rerun", remedy=f"pip install 'testrange[{EXTRA}]' adds it"
+            "rerun-sdk is not installed",
+            where="--rerun",
+            remedy=".venv/bin/python -m pip install rerun-sdk, or pip of whatever environment runs testrange",
         )
 
 

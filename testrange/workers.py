@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import threading
 import time
+from collections.abc import Sequence
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
@@ -53,7 +54,7 @@ def _share(
     progress(stage, total, total)
 
 
-def _stop(crew: list[BaseProcess]) -> None:
+def _stop(crew: Sequence[BaseProcess]) -> None:
     for process in crew:
         if process.pid is not None:
             process.terminate()

@@ -89,7 +89,7 @@ def _range(data: CampaignData) -> list[Row]:
     lux = [r.illuminance_lx for s in data.sorties for r in s.environment if r.illuminance_lx is not None]
     if not lux:
         return [surveyed, slope, missing("6.2.1 c", requirement, limit, "illuminance in environment.csv")]
-    text = f"{min(lux):,.0f} lx to {max(lux):,.0f} lx, {len(lux)} records"
+    text = f"{min(lux):.0f} lx to {max(lux):.0f} lx, {len(lux)} records"
     if max(lux) > 1e5:
         text += "; a clear sky passes 100 klx above about 58° of sun elevation"
     return [surveyed, slope, row("6.2.1 c", requirement, text, limit, passed(min(lux) >= 1e4 and max(lux) <= 1e5))]

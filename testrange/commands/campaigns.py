@@ -14,6 +14,7 @@ from testrange.commands.options import (
     Replace,
     Settings,
     Workers,
+    counted,
     fail,
     languages,
     print_json,
@@ -225,7 +226,8 @@ def check(path: str, /, *, set_: Settings = (), json: Json = False) -> int:
     else:
         for severity, where, message in found:
             print(f"{severity}: {message}" if where in message else f"{severity}: {where}: {message}")
-        print(f"{path}: {errors} errors, {len(found) - errors} warnings" if found else f"{path}: sound")
+        told = f"{counted(errors, 'error')}, {counted(len(found) - errors, 'warning')}"
+        print(f"{path}: {told if found else 'sound'}")
     return 1 if errors else 0
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from testrange.commands.options import Json, OneLanguage, Quiet, print_json
+from testrange.commands.options import Json, OneLanguage, Quiet, counted, print_json
 
 
 def archive(
@@ -72,7 +72,7 @@ def export(
     if json:
         print_json({"files": [str(f) for f in files]})
     else:
-        print(f"{len(files)} files: {out}")
+        print(f"{counted(len(files), 'file')}: {out}")
 
 
 def view(

@@ -77,6 +77,11 @@ def report(done: Any, as_json: bool, language: Literal["zh", "en", "both"]) -> N
     print(f"run time: {done.seconds:.1f} s, peak resident memory: {done.peak_memory_mb:,.0f} MB")
 
 
+def counted(number: int, thing: str) -> str:
+    """ "1 file", "2 files"."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
 def fail(text: str, code: int) -> int:
     """One line on stderr; returns the exit code."""
     print(f"testrange: {text}", file=sys.stderr)

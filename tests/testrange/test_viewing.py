@@ -117,7 +117,7 @@ def test_recording_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setitem(sys.modules, "rerun", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(TestrangeError, match=r"rerun-sdk is not installed; pip install 'testrange\[rerun\]'"):
+    with pytest.raises(TestrangeError, match=r"rerun-sdk is not installed; .venv/bin/python -m pip install rerun-sdk"):
         write_rrd(tmp_path / "a.rrd", Evaluation(campaign="c", synthetic=False, indicators={}))
     assert not list(tmp_path.iterdir())
 
