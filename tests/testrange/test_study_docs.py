@@ -48,13 +48,13 @@ def test_the_tutorial_runs(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_tutorials_campaigns_run(tmp_path: Path) -> None:
-    """Expected: twice the pulses, twice the points; twice the speed, half the points. Tolerance 5 %: points at panels' edges."""
+    """Expected: twice the pulses, twice the points; twice the speed, half the points. Tolerance 10 %: points at panels' edges."""
     run_page(tmp_path, slow=True)
     table = pq.read_table(tmp_path / "out" / "points" / "table.parquet").to_pydict()
     found = {(p, v): n for p, v, n in zip(table["prr"], table["speed"], table["panel_points.per_strip"])}
     base = found[50000.0, 4.0]
-    assert found[100000.0, 4.0] == pytest.approx(2.0 * base, rel=0.05)
-    assert found[50000.0, 8.0] == pytest.approx(0.5 * base, rel=0.05)
+    assert found[100000.0, 4.0] == pytest.approx(2.0 * base, rel=0.1)
+    assert found[50000.0, 8.0] == pytest.approx(0.5 * base, rel=0.1)
 
 
 def test_every_key_and_response_is_on_the_page() -> None:
