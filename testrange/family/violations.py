@@ -106,7 +106,7 @@ VIOLATIONS: tuple[Violation, ...] = (
     _v("sun", "7.2 c", "records", "flown at 15:30: the sun below 35°",
        'campaign.start_time="2026-09-25T15:30:00+08:00"'),
     _v("sun_change", "7.2 c", "records", "eleven sorties of a morning: the sun climbs by more than 20°",
-       'campaign.start_time="2026-09-25T08:40:00+08:00"',
+       'campaign.start_time="2026-05-05T08:00:00+08:00"', "environment.aerosol_optical_depth_500nm=0.8",
        "flight.heights_m=[30.0, 31.0, 32.0, 33.0, 34.0, 35.0, 36.0, 37.0, 38.0, 39.0, 40.0, 41.0]"),
     _v("wind", "7.2 d", "records", "12 m/s of wind", "environment.wind_speed_m_s=12.0"),
     _v("speed", "7.3 a", "records", "17 m/s with a multirotor", "flight.speed_m_s=17.0"),
