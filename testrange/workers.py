@@ -1,4 +1,4 @@
-"""Several processes simulate one campaign: each takes every n-th picture, strip or scan; the parent fills gaps and does the rest."""
+"""Several processes simulate one campaign: each takes every n-th picture, strip or scan; the parent fills gaps, does the rest."""
 
 import contextlib
 import multiprocessing
