@@ -52,7 +52,7 @@ def mean(done: Done, response: str, **where: object) -> float:
 def test_points_on_panels_fall_as_one_over_height_and_speed(tmp_path: Path) -> None:
     """Rationale: a line scanner of constant rate puts PRR A cos^2(t) / (2 pi H v) points on a panel of area A in each strip; the
     layout keeps the angles t. Expected: points times H v is one number for all combinations, near that of the formula.
-    Tolerance: 10 % among them (returns at panels' edges and the searched shift: 4 % more at 4 than at 8 m/s were seen at 35 m), 15 %
+    Tolerance: 10 % among them (returns at panels' edges and the searched shift: 4 % more at 4 than at 8 m/s seen at 35 m), 15 %
     absolute (cos^2 over the field: 0.85-1)."""
     done = fly(
         tmp_path,
