@@ -61,9 +61,8 @@ class FoundPanel:
 
     inside: np.ndarray  # (k,) int rows on the panel, for the count of 5.5 b
     clear: np.ndarray  # (j,) int rows whose whole footprint is on it: the panel's amplitude and range are their means
-    shift_m: np.ndarray = field(
-        default_factory=lambda: np.zeros(2)
-    )  # (2,) of the panel against its predicted place [m]
+    # the panel against its predicted place
+    shift_m: np.ndarray = field(default_factory=lambda: np.zeros(2))  # (2,) [m]
     height_m: float | None = None  # of the panel against its predicted height; None: median of `clear` [m]
 
 

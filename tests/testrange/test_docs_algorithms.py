@@ -67,7 +67,7 @@ def test_the_tables_are_the_records_own() -> None:
         part = TEXT.split(f"### {node.name}\n", 1)[1].split("\n### ")[0]
         for entry in node.body:
             if isinstance(entry, ast.AnnAssign) and isinstance(entry.target, ast.Name):
-                comment = lines[entry.lineno - 1].partition("  # ")[2]
+                comment = lines[(entry.end_lineno or entry.lineno) - 1].partition("  # ")[2]
                 if entry.target.id in ("problem", "views", "observations"):
                     continue
                 assert comment and f"| `{entry.target.id}` | {comment} |" in part, f"{node.name}.{entry.target.id}"
