@@ -281,9 +281,7 @@ def _unit(key: int, k: int) -> str:
     return f"sphere {key} {k}"
 
 
-def _take(
-    bench: _Bench, key: tuple[int, int], path: Path, since_on_s: float, output: float, journal: Journal
-) -> None:
+def _take(bench: _Bench, key: tuple[int, int], path: Path, since_on_s: float, output: float, journal: Journal) -> None:
     """One exposure and its file; a preview beside the first."""
     config, camera = bench.config, bench.config.camera
     temperature_c = sensor_temperature_c(config, since_on_s)
