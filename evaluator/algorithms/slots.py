@@ -52,7 +52,8 @@ class PanelTask:
     single_return: np.ndarray  # (n,) bool: the pulse's only return
     size_m: float  # edge of the panel [m]
     divergence_rad: float  # full angle of the beam at 1/e^2 [rad]
-    searched: bool  # the mounting is not known: the panel may be 1.2 m from its predicted place
+    searched: bool  # the mounting is not known: the panel may be `reach_m` from its predicted place
+    reach_m: float = 1.2  # 0.5 where the strip's other panels tell the common displacement, which is then taken off [m]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,11 +18,14 @@ from evaluator.algorithms.record import OWN_TOOLS, Tools
 from evaluator.algorithms.slots import AlgorithmFailure, EchoTask, FoundEchoes, FoundPanel, PanelTask
 from evaluator.frames import WorldFrame
 from evaluator.georeference import TargetReturns, corrected_points, lidar_points, nominal_mountings, world_points
-from evaluator.model import CampaignData, EvaluationError, Mounting
+from evaluator.model import CampaignData, EvaluationError, Mounting, SortieData
 
 _MIN_RETURNS = 5
 _HEIGHT_WINDOW_M = 0.06  # about the panel's median height; panels stand higher than this above the ground
-_SEARCH_M = 1.2
+_AGREE_M = (
+    0.5  # panels of one strip are displaced alike: the mounting turns all of them, a heading error the outer ones more
+)
+_AGREE_LEAST = 5  # panels that a common displacement is taken from
 _SEARCH_STEP_M = 0.05
 
 
@@ -79,11 +82,12 @@ def panel_axes_world(target: SurveyedTarget, world_frame: WorldFrame) -> tuple[n
     return world[0], np.stack([x, y, np.cross(x, y)])
 
 
-def find_panel_shift(local_m: np.ndarray, amplitude: np.ndarray, size_m: float) -> np.ndarray | None:
+def find_panel_shift(
+    local_m: np.ndarray, amplitude: np.ndarray, size_m: float, reach_m: float = 1.2
+) -> np.ndarray | None:
     """Where a panel lies near its predicted place, by contrast.
 
-    The square that is most uniform in height and amplitude and differs most from the ring about it, on a grid of 5 cm within
-    1.2 m.
+    The square that is most uniform in height and amplitude and differs most from the ring about it, on a grid of 5 cm.
 
     Parameters
     ----------
@@ -93,6 +97,8 @@ def find_panel_shift(local_m: np.ndarray, amplitude: np.ndarray, size_m: float) 
         Linear amplitude.
     size_m : float
         Edge of the panel. [m]
+    reach_m : float
+        Farthest along each axis. [m]
 
     Returns
     -------
@@ -102,7 +108,7 @@ def find_panel_shift(local_m: np.ndarray, amplitude: np.ndarray, size_m: float) 
     step = _SEARCH_STEP_M
     half = max(1, round(0.5 * size_m / step))
     ring = half + max(2, round(0.25 * size_m / step))
-    reach = round(_SEARCH_M / step)
+    reach = round(reach_m / step)
     edge = ring + reach
     cell = np.floor(local_m[:, :2] / step).astype(np.int64) + edge
     width = 2 * edge
@@ -186,6 +192,7 @@ def lidar_panel_observations(
     """
     if data.rig is None or data.lidar is None:
         raise EvaluationError("sensors/rig.json and sensors/lidar.json are needed to find panels in the cloud")
+    rig, lidar = data.rig, data.lidar
     panels = {t.id: t for t in data.targets if t.kind == "panel"}
     frame = WorldFrame(data.manifest)
     mounting = body_from_lidar or nominal_mountings(data.rig)[1]
@@ -194,29 +201,55 @@ def lidar_panel_observations(
         if sortie.trajectory is None:
             continue
         for strip in sortie.strips:
-            chosen: list[OnPanel] = []
-            for name in sorted(panels):
+
+            def place(
+                name: str, sortie: SortieData = sortie, strip: int = strip, near: np.ndarray | None = None
+            ) -> OnPanel | None:
                 key = (sortie.folder.number, strip, name)
-                if key not in returns:
-                    continue
+                if key not in returns or sortie.trajectory is None:
+                    return None
                 rows = returns[key].returns
                 p_lidar = corrected_points(
-                    lidar_points(rows.xyz_m, rows.gps_time_s, sortie.trajectory, data.rig, frame), data.range_correction
+                    lidar_points(rows.xyz_m, rows.gps_time_s, sortie.trajectory, rig, frame), data.range_correction
                 )
                 world = world_points(p_lidar, rows.gps_time_s, sortie.trajectory, mounting, frame)
                 origin = world_points(np.zeros_like(p_lidar), rows.gps_time_s, sortie.trajectory, mounting, frame)
-                searched = body_from_lidar is None
-                rows_of = returns[key]
                 try:
-                    on = returns_on_panel(
-                        key, panels[name], rows_of, world, origin, data.lidar, frame, searched, tools.panel_finding
+                    return returns_on_panel(
+                        key,
+                        panels[name],
+                        returns[key],
+                        world,
+                        origin,
+                        lidar,
+                        frame,
+                        body_from_lidar is None,
+                        tools.panel_finding,
+                        near,
                     )
                 except AlgorithmFailure:  # counted and named where it failed
-                    continue
-                if on is not None:
-                    chosen.append(on)
+                    return None
+
+            chosen = [on for name in sorted(panels) if (on := place(name)) is not None]
+            if body_from_lidar is None:
+                chosen = _agreeing(chosen, place)
             found += _strip_observations(data, sortie.folder.strip_las(strip), chosen, returns, tools)
     return found
+
+
+def _agreeing(chosen: list[OnPanel], place: Callable[..., OnPanel | None]) -> list[OnPanel]:
+    """Panels of one strip that were searched one by one: another thing that stands out can be taken for a dark panel. One whose
+    displacement is not that of the others is looked for again near theirs, and left out where it is not found there."""
+    if len(chosen) < _AGREE_LEAST:
+        return chosen
+    common = np.median([o.offset_m[:2] for o in chosen], axis=0)
+    agreed: list[OnPanel] = []
+    for on in chosen:
+        if np.all(np.abs(np.asarray(on.offset_m[:2]) - common) <= _AGREE_M):
+            agreed.append(on)
+        elif (again := place(on.key[2], near=common)) is not None:
+            agreed.append(again)
+    return agreed
 
 
 def find_on_panel(task: PanelTask) -> FoundPanel | str:
@@ -227,7 +260,7 @@ def find_on_panel(task: PanelTask) -> FoundPanel | str:
     local = task.points_m
     shift = np.zeros(2)
     if task.searched:
-        result = find_panel_shift(local, task.amplitude_dn, task.size_m)
+        result = find_panel_shift(local, task.amplitude_dn, task.size_m, task.reach_m)
         if result is None:
             return "nothing stands out near its predicted place"
         shift = result
@@ -259,9 +292,15 @@ def returns_on_panel(
     frame: WorldFrame,
     searched: bool,
     find: Callable[[PanelTask], FoundPanel | str] = find_on_panel,
+    near_m: np.ndarray | None = None,
 ) -> OnPanel | None:
-    """One strip's returns on one panel, by a person's pick or by `find`, the algorithm of the slot `panel_finding`."""
+    """One strip's returns on one panel, by a person's pick or by `find`, the algorithm of the slot `panel_finding`.
+
+    `near_m` (2,): displacement east and north that the strip's other panels have, about which this one is searched. [m]
+    """
     centre, axes = panel_axes_world(panel, frame)
+    displaced = np.zeros(3) if near_m is None else np.array([near_m[0], near_m[1], 0.0])
+    centre = centre + displaced
     local = (world_m - centre) @ axes.T
     ray = origin_m - world_m
     range_m = np.linalg.norm(ray, axis=1)
@@ -286,12 +325,13 @@ def returns_on_panel(
             size_m=panel.size_m,
             divergence_rad=lidar.divergence_rad * (1.7 if lidar.divergence_definition == "fwhm" else 1.0),
             searched=searched,
+            reach_m=1.2 if near_m is None else _AGREE_M,
         )
     )
     if isinstance(found, str) or len(found.clear) < _MIN_RETURNS:
         return None
     index = found.clear
-    along = found.shift_m @ axes[:2]
+    along = found.shift_m @ axes[:2] + displaced
     return OnPanel(
         key=key,
         index=index,
