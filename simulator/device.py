@@ -1,19 +1,20 @@
 """The instrument behind the optics: digitiser, and its own online echo detection. Compiled on first use, one waveform a loop turn.
 
 This is the simulated device's code, deliberately simple and quick as firmware is. The evaluator decomposes packets with its own.
+How echoes become samples is `simulator.pulses.sampling`.
 """
 
-from concurrent.futures import ThreadPoolExecutor
+import math
 from dataclasses import dataclass
-from functools import lru_cache
-from itertools import pairwise
 
 import numba
 import numpy as np
-from scipy.special import ndtri
 
 from campaign.config import Lidar
-from simulator.radar_equation import FWHM_PER_SIGMA, echo_fwhm_ns
+from simulator.footprint import Optics
+from simulator.pulses.caster import Seen
+from simulator.pulses.sampling import PULSE_DEVIATES, digitise, normal_stream, pulse_deviates, sample
+from simulator.radar_equation import FWHM_PER_SIGMA, SPEED_OF_LIGHT_M_S, echo_fwhm_ns
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,47 +84,23 @@ def dn_per_w(lidar: Lidar) -> float:
     return ((1 << lidar.bit_depth) - 1 - lidar.baseline_dn) / (lidar.full_scale_power_nw * 1e-9)
 
 
-@lru_cache(maxsize=1)
-def normal_quantiles() -> np.ndarray:
-    """(65536,) float32: equally likely values whose pairwise sum is standard normal to 6 standard deviations.
-
-    Noise costs as much as ray casting when every sample draws from the usual generator; two 16-bit numbers and this table are
-    five times cheaper, and exact in mean and variance.
-    """
-    value = ndtri((np.arange(65536) + 0.5) / 65536)
-    value *= np.sqrt(0.5 / np.mean(value**2))
-    return np.asarray(value, np.float32)
+def pulse_normals(key: np.uint64, first: int, count: int, samples: int) -> np.ndarray:
+    """(3, count) standard normal float32 of pulses first, first + 1, ... beside their `samples` samples' own."""
+    out = np.empty((PULSE_DEVIATES, count), np.float32)
+    pulse_deviates(key, first, samples, out)
+    return out
 
 
-def draw_chance(rng: np.random.Generator, pulses: int, samples: int) -> np.ndarray:
-    """(pulses, 2 samples) uniform uint16 for `Device.digitise`."""
-    words = rng.bit_generator.random_raw((pulses * samples + 1) // 2)
-    return np.asarray(words).astype("<u8", copy=False).view("<u2")[: 2 * pulses * samples].reshape(pulses, 2 * samples)
+def normals(key: np.uint64, count: int) -> np.ndarray:
+    """(count,) standard normal float32: the first of the stream `key`."""
+    out = np.empty(count, np.float32)
+    normal_stream(key, np.uint64(0), out)
+    return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _digitise(
-    signal: np.ndarray,
-    chance: np.ndarray,
-    quantile: np.ndarray,
-    gain: np.ndarray,
-    levels: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    """`levels`, in single precision: baseline, noise variance, shot noise variance per step, background, full scale."""
-    baseline, noise_variance, shot_variance, background, full_scale = levels
-    for i in range(signal.shape[0]):
-        for k in range(signal.shape[1]):
-            light = signal[i, k] * gain[i]
-            spread = np.sqrt(noise_variance + shot_variance * (light + background))
-            normal = quantile[chance[i, 2 * k]] + quantile[chance[i, 2 * k + 1]]
-            value = np.floor(baseline + light + spread * normal + np.float32(0.5))
-            out[i, k] = np.uint16(min(max(value, np.float32(0.0)), full_scale))
-
-
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fit_peak(
-    wave: np.ndarray, first: int, last: int, baseline: float, full_scale: int, floor: float
+    wave: np.ndarray, first: int, last: int, baseline: float, logs: np.ndarray, full_scale: int, floor: float
 ) -> tuple[float, float, float]:
     """Gaussian through samples first..last: a parabola fitted to their logarithms, weighted by the square of the signal.
 
@@ -140,7 +117,7 @@ def _fit_peak(
         used += 1
         x = k - middle
         w = y * y
-        z = np.log(y)
+        z = logs[wave[k]]
         wx = w * x
         wxx = wx * x
         s0 += w
@@ -171,111 +148,136 @@ def _fit_peak(
     return middle + x, np.exp(a + 0.5 * b * x), np.sqrt(-0.5 / c)
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _find(
+    wave: np.ndarray,
+    setting: np.ndarray,
+    logs: np.ndarray,
+    full_scale: int,
+    half_window: int,
+    top: np.ndarray,
+    position: np.ndarray,
+    amplitude: np.ndarray,
+    sigma: np.ndarray,
+) -> int:
+    """Maxima above the threshold, kept apart only where the valley between them is deeper than the noise allows.
+
+    `setting`: baseline, noise variance, shot variance a step, threshold in sigma, sigma of a flat target's echo. `top` is work
+    space (3, r + 1): each maximum, the last sample of its plateau, the lowest sample before it. Returns how many echoes.
+    """
+    baseline, noise_variance, shot_variance, threshold_sigma, echo_sigma = setting
+    samples, most = len(wave), len(position)
+    floor = math.sqrt(noise_variance)
+    threshold = threshold_sigma * floor
+    high = baseline + threshold
+    start, stop = 0, samples - 1
+    while start < samples and wave[start] < high:
+        start += 1
+    if start == samples:
+        return 0
+    while wave[stop] < high:
+        stop -= 1
+    # ---- maxima: the signal must fall, and rise again, by threshold_sigma of its own noise ----
+    found = 0
+    rising = True
+    best = end = low = start
+    for k in range(start + 1, samples):
+        here = np.int64(wave[k])
+        peak = np.int64(wave[best])
+        if rising:
+            if here > peak:
+                best = end = k
+            elif here == peak:
+                if here >= full_scale or end == k - 1:
+                    end = k
+            else:
+                y = peak - baseline
+                if y < threshold:
+                    if k > stop:
+                        break
+                    if here < wave[low]:
+                        low = best = end = k
+                elif peak - here >= min(threshold_sigma * math.sqrt(noise_variance + shot_variance * y), 0.5 * y):
+                    if found <= most and best > 0:
+                        top[0, found], top[1, found], top[2, found] = best, end, low
+                        found += 1
+                    if found > most or k >= stop:
+                        break
+                    rising = False
+                    low = k
+        elif here <= wave[low]:
+            low = k
+        elif k > stop:
+            break
+        elif here - np.int64(wave[low]) >= threshold:
+            y = max(here - baseline, 0.0)
+            if here - np.int64(wave[low]) >= threshold_sigma * math.sqrt(noise_variance + shot_variance * y):
+                rising = True
+                best = end = k
+    # ---- position, amplitude and width of each ----
+    kept = min(found, most)
+    for j in range(kept):
+        saturated = wave[top[0, j]] >= full_scale
+        # a neighbour pulls the fit towards itself: stay within half the way to the valley between them
+        reach = half_window + (2 if saturated else 0)
+        if j > 0:
+            reach = min(reach, max(1, (top[0, j] - top[2, j]) // 2))
+        if j + 1 < found:
+            reach = min(reach, max(1, (top[2, j + 1] - top[1, j]) // 2))
+        first = max(top[0, j] - reach, 0)
+        last = min(top[1, j] + reach, samples - 1)
+        mean, height, width = _fit_peak(wave, first, last, baseline, logs, full_scale, floor)
+        middle = 0.5 * (top[0, j] + top[1, j])
+        if width == 0.0 or abs(mean - middle) > 1.5 + 0.5 * (top[1, j] - top[0, j]):
+            mean, height, width = middle, wave[top[0, j]] - baseline, echo_sigma
+        position[j] = mean
+        amplitude[j] = height
+        sigma[j] = width
+    return kept
+
+
 @numba.njit(cache=True, nogil=True)
 def _detect(
     waves: np.ndarray,
-    baseline: float,
-    noise_variance: float,
-    shot_variance: float,
+    setting: np.ndarray,
+    logs: np.ndarray,
     full_scale: int,
-    threshold_sigma: float,
     half_window: int,
-    echo_sigma: float,
     count: np.ndarray,
     position: np.ndarray,
     amplitude: np.ndarray,
     sigma: np.ndarray,
 ) -> None:
-    """Maxima above the threshold, kept apart only where the valley between them is deeper than the noise allows."""
-    samples = waves.shape[1]
-    most = position.shape[1]
-    floor = np.sqrt(noise_variance)
-    threshold = threshold_sigma * floor
-    top_at = np.empty(most + 1, np.int64)  # of each maximum
-    top_end = np.empty(most + 1, np.int64)  # last sample of its plateau
-    left = np.empty(most + 1, np.int64)  # lowest sample before it
-    for i in range(waves.shape[0]):
-        wave = waves[i]
-        # ---- maxima: the signal must fall, and rise again, by threshold_sigma of its own noise ----
-        found = 0
-        rising = True
-        best = end = low = 0
-        for k in range(1, samples):
-            if rising:
-                if wave[k] > wave[best]:
-                    best = end = k
-                elif wave[k] == wave[best]:
-                    if wave[k] >= full_scale or end == k - 1:
-                        end = k
-                else:
-                    y = wave[best] - baseline
-                    step = threshold_sigma * np.sqrt(noise_variance + shot_variance * max(y, 0.0))
-                    if y < threshold:
-                        if wave[k] < wave[low]:
-                            low = k
-                            best = end = k
-                    elif wave[best] - wave[k] >= min(step, 0.5 * y):
-                        if found <= most and best > 0:
-                            top_at[found], top_end[found], left[found] = best, end, low
-                            found += 1
-                        if found > most:
-                            break
-                        rising = False
-                        low = k
-            elif wave[k] <= wave[low]:
-                low = k
-            else:
-                y = wave[k] - baseline
-                step = threshold_sigma * np.sqrt(noise_variance + shot_variance * max(y, 0.0))
-                if wave[k] - wave[low] >= step:
-                    rising = True
-                    best = end = k
-        # ---- position, amplitude and width of each ----
-        kept = 0
-        for j in range(min(found, most)):
-            saturated = wave[top_at[j]] >= full_scale
-            # a neighbour pulls the fit towards itself: stay within half the way to the valley between them
-            reach = half_window + (2 if saturated else 0)
-            if j > 0:
-                reach = min(reach, max(1, (top_at[j] - left[j]) // 2))
-            if j + 1 < found:
-                reach = min(reach, max(1, (left[j + 1] - top_end[j]) // 2))
-            first = max(top_at[j] - reach, 0)
-            last = min(top_end[j] + reach, samples - 1)
-            mean, height, width = _fit_peak(wave, first, last, baseline, full_scale, floor)
-            if width == 0.0 or abs(mean - 0.5 * (top_at[j] + top_end[j])) > 1.5 + 0.5 * (top_end[j] - top_at[j]):
-                mean = 0.5 * (top_at[j] + top_end[j])
-                height = wave[top_at[j]] - baseline
-                width = echo_sigma
-            position[i, kept] = mean
-            amplitude[i, kept] = height
-            sigma[i, kept] = width
-            kept += 1
-        count[i] = kept
+    top = np.empty((3, position.shape[1] + 1), np.int64)
+    for i in range(len(waves)):
+        count[i] = _find(waves[i], setting, logs, full_scale, half_window, top, position[i], amplitude[i], sigma[i])
 
 
 class Device:
-    """Digitise and detect blocks of waveforms on a few threads; each waveform's result depends on itself alone."""
+    """Digitise and detect blocks of waveforms; each waveform's result depends on itself and its number alone."""
 
-    def __init__(self, lidar: Lidar, threads: int = 2) -> None:
-        self._digitiser = digitiser_from(lidar)
-        self._detector = detector_from(lidar)
-        self._pool = ThreadPoolExecutor(max_workers=threads)
-        self._threads = threads
+    def __init__(self, lidar: Lidar) -> None:
+        d, t = digitiser_from(lidar), detector_from(lidar)
+        self._samples = lidar.samples
+        self._levels = np.array(
+            [d.baseline_dn, d.noise_dn**2, d.shot_noise_dn**2, d.background_dn, d.full_scale_dn], np.float32
+        )
+        self._setting = np.array(
+            [t.baseline_dn, t.noise_dn**2, t.shot_noise_dn**2, t.threshold_sigma, t.echo_sigma], np.float64
+        )
+        above = np.maximum(np.arange(d.full_scale_dn + 1) - t.baseline_dn, 1e-9)
+        self._fit = (np.log(above), d.full_scale_dn, t.half_window)
+        self._most = t.max_returns
 
-    def _parts(self, n: int) -> list[slice]:
-        edges = np.linspace(0, n, self._threads + 1).astype(int)
-        return [slice(a, b) for a, b in pairwise(edges) if b > a]
-
-    def digitise(self, signal_dn: np.ndarray, chance: np.ndarray, gain: np.ndarray) -> np.ndarray:
+    def digitise(self, signal_dn: np.ndarray, normal: np.ndarray, gain: np.ndarray) -> np.ndarray:
         """Light to steps: shot and amplifier noise, baseline, rounding, saturation.
 
         Parameters
         ----------
         signal_dn : (n, samples) ndarray, float32
             Light without noise, as steps above the baseline. [DN]
-        chance : (n, 2 samples) ndarray, uint16
-            Uniform; a sample's normal deviate is the sum of two quantiles, see `normal_quantiles`.
+        normal : (n, samples) ndarray, float32
+            Standard normal deviates.
         gain : (n,) ndarray
             Factor on the light of each pulse.
 
@@ -284,25 +286,9 @@ class Device:
         (n, samples) ndarray, uint16
             [DN]
         """
-        d = self._digitiser
         out = np.empty(signal_dn.shape, np.uint16)
-        gain = gain.astype(np.float32)
-        quantile = normal_quantiles()
-        levels = np.array(
-            [d.baseline_dn, d.noise_dn**2, d.shot_noise_dn**2, d.background_dn, d.full_scale_dn], np.float32
-        )
-
-        def run(part: slice) -> None:
-            _digitise(
-                signal_dn[part],
-                chance[part],
-                quantile,
-                gain[part],
-                levels,
-                out[part],
-            )
-
-        list(self._pool.map(run, self._parts(len(out))))
+        light = np.empty(signal_dn.shape[1], np.float32)
+        digitise(signal_dn, normal, gain.astype(np.float32), self._levels, light, out)
         return out
 
     def detect(self, waves: np.ndarray) -> DetectedEchoes:
@@ -310,30 +296,56 @@ class Device:
 
         Saturated samples are left out of the fit, which then rests on the flanks.
         """
-        d, n = self._detector, len(waves)
-        count = np.zeros(n, np.uint8)
-        position = np.full((n, d.max_returns), np.nan)
-        amplitude, sigma = (np.full((n, d.max_returns), np.nan, np.float32) for _ in range(2))
+        shape = (len(waves), self._most)
+        found = DetectedEchoes(
+            count=np.zeros(len(waves), np.uint8),
+            position=np.full(shape, np.nan),
+            amplitude_dn=np.full(shape, np.nan, np.float32),
+            sigma=np.full(shape, np.nan, np.float32),
+        )
+        _detect(waves, self._setting, *self._fit, found.count, found.position, found.amplitude_dn, found.sigma)
+        return found
 
-        def run(part: slice) -> None:
-            _detect(
-                waves[part],
-                d.baseline_dn,
-                d.noise_dn**2,
-                d.shot_noise_dn**2,
-                d.full_scale_dn,
-                d.threshold_sigma,
-                d.half_window,
-                d.echo_sigma,
-                count[part],
-                position[part],
-                amplitude[part],
-                sigma[part],
-            )
+    def receive(
+        self,
+        seen: Seen,
+        optics: Optics,
+        shift_m: np.ndarray,
+        gain: np.ndarray,
+        key: np.uint64,
+        number: int,
+    ) -> tuple[np.ndarray, np.ndarray, DetectedEchoes]:
+        """Packets of n pulses, the number of each one's first sample on the clock that the emitted pulse starts, and echoes.
 
-        list(self._pool.map(run, self._parts(n)))
-        return DetectedEchoes(count=count, position=position, amplitude_dn=amplitude, sigma=sigma)
-
-    def close(self) -> None:
-        """Ends the threads."""
-        self._pool.shutdown()
+        Parameters
+        ----------
+        seen : Seen
+            Echoes of the n pulses before noise.
+        optics : Optics
+        shift_m : (n,) ndarray
+            Apparent lengthening of the range: the device's timing jitter. [m]
+        gain : (n,) ndarray
+            Factor on the light of each pulse.
+        key : uint64
+            Of the stream of noise.
+        number : int
+            Of the first pulse in that stream.
+        """
+        n, step_m = len(gain), 0.5e-9 * SPEED_OF_LIGHT_M_S * optics.sampling_ns
+        waves, start = np.empty((n, self._samples), np.uint16), np.empty(n, np.int32)
+        sample(
+            seen.echo,
+            seen.first,
+            seen.count,
+            np.ascontiguousarray(seen.extent_m[:, 1]),
+            shift_m,
+            gain,
+            np.array([1.0 / step_m, step_m * optics.echo_sigma_ns / optics.sampling_ns]),
+            optics.pre_samples,
+            key,
+            number,
+            self._levels,
+            waves,
+            start,
+        )
+        return waves, start, self.detect(waves)

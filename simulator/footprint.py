@@ -1,4 +1,4 @@
-"""The beam's footprint as a fixed set of sub-rays: where they point and what share of the pulse each carries."""
+"""The beam's footprint as a fixed set of sub-rays: where they point and what share of the pulse each carries; and the optics."""
 
 from dataclasses import dataclass
 
@@ -14,6 +14,20 @@ class Footprint:
 
     offset: np.ndarray  # (s, 2) slope against the beam's axis, along two axes across the beam [rad]
     weight: np.ndarray  # (s,) share of the pulse's energy
+    spread_rad: float  # standard deviation about one axis, of the pattern and of the beam that it stands for
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optics:
+    """Constants of one device and one state of the air."""
+
+    footprint: Footprint
+    echo_sigma_ns: float  # of pulse and receiver together
+    sampling_ns: float
+    samples: int
+    pre_samples: int  # whole samples between the packet's first one and the nearest sub-ray's echo
+    scale_dn_m2: float  # peak of an echo of rho cos(alpha) = 1 at 1 m without air [DN m2]
+    extinction_per_m: float  # one way
 
 
 def _rings(points: int, centre: bool) -> list[int]:
@@ -62,7 +76,7 @@ def gaussian_footprint(subrays: int, divergence_rad: float) -> Footprint:
             remedy="set 7 or 19",
         )
     if subrays == 1:
-        return Footprint(offset=np.zeros((1, 2)), weight=np.ones(1))
+        return Footprint(offset=np.zeros((1, 2)), weight=np.ones(1), spread_rad=0.0)
     centre = subrays % 2 == 1
     sizes = _rings(subrays - centre, centre)
     number = np.arange(len(sizes)) + (1.0 if centre else 0.5)  # radius in units of the rings' distance
@@ -87,4 +101,8 @@ def gaussian_footprint(subrays: int, divergence_rad: float) -> Footprint:
         points = number[ring] * step * np.stack([np.cos(half), np.sin(half)], axis=-1)
         offsets += [points, -points]
         weights.append(np.full(size, share[ring] / size))
-    return Footprint(offset=np.concatenate(offsets) * 0.5 * divergence_rad, weight=np.concatenate(weights))
+    return Footprint(
+        offset=np.concatenate(offsets) * 0.5 * divergence_rad,
+        weight=np.concatenate(weights),
+        spread_rad=0.25 * divergence_rad,
+    )

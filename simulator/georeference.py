@@ -4,6 +4,8 @@ Frames and rotations are defined in `simulator.frames`; here they are only arran
 BLAS, whose rounding depends on its threads.
 """
 
+import math
+
 import numba
 import numpy as np
 
@@ -14,21 +16,6 @@ _HALF_M = np.array([2000.0, 2000.0, 700.0])  # the world box in which MapPatch h
 _CENTRE_M = np.array([0.0, 0.0, 500.0])
 
 
-def rotate(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """(3, 3) applied to (n, 3)."""
-    return np.stack([r[0] * vectors[:, 0] + r[1] * vectors[:, 1] + r[2] * vectors[:, 2] for r in rotation], axis=-1)
-
-
-def world_from_body_vectors(rpy_rad: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Body FRD vectors (n, 3) into world ENU axes, one attitude (n, 3) each: Rx(roll), Ry(pitch), Rz(heading) in turn."""
-    (cr, cp, ch), (sr, sp, sh) = np.cos(rpy_rad).T, np.sin(rpy_rad).T
-    x, y, z = vectors.T
-    y, z = cr * y - sr * z, sr * y + cr * z
-    x, z = cp * x + sp * z, cp * z - sp * x
-    north, east = ch * x - sh * y, sh * x + ch * y
-    return np.stack([east, north, -z], axis=-1)
-
-
 def beams_world(
     motion: Motion, gps_time_s: np.ndarray, mounting: SensorMounting, direction_sensor: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -37,7 +24,7 @@ def beams_world(
     Parameters
     ----------
     motion : Motion
-        True or estimated.
+        True or estimated. Make a `Track` of it when there are many calls.
     gps_time_s : (n,) ndarray
         True time of the pulse for the true motion; the stamped time for the estimated one. [s]
     mounting : SensorMounting
@@ -50,10 +37,87 @@ def beams_world(
     (n, 3) ndarray, (n, 3) ndarray, (n, 3) ndarray
         Origin [m], unit direction, roll pitch heading [rad].
     """
-    rpy = motion.rpy(gps_time_s)
-    arm = np.broadcast_to(np.asarray(mounting.lever_arm_m, np.float64), direction_sensor.shape)
-    origin = motion.position(gps_time_s) + world_from_body_vectors(rpy, arm)
-    return origin, world_from_body_vectors(rpy, rotate(mounting.rotation, direction_sensor)), rpy
+    return Track(motion).beams(gps_time_s, mounting, direction_sensor)
+
+
+class Track:
+    """A motion with the sines and cosines of its samples' angles, for millions of beams."""
+
+    def __init__(self, motion: Motion) -> None:
+        self._time = np.ascontiguousarray(motion.gps_time_s, np.float64)
+        pose = np.concatenate([motion.position_world_m, motion.rpy_rad], axis=1)
+        self._pose = np.ascontiguousarray(
+            np.concatenate([pose, np.cos(motion.rpy_rad), np.sin(motion.rpy_rad)], axis=1)
+        )
+
+    def beams(
+        self, gps_time_s: np.ndarray, mounting: SensorMounting, direction_sensor: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See `beams_world`."""
+        n = len(gps_time_s)
+        origin, direction, rpy = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
+        arm = np.asarray(mounting.lever_arm_m, np.float64)
+        rotation = np.ascontiguousarray(mounting.rotation, np.float64)
+        time, beam = np.ascontiguousarray(gps_time_s, np.float64), np.ascontiguousarray(direction_sensor, np.float64)
+        _beams(self._time, self._pose, time, rotation, arm, beam, origin, direction, rpy)
+        return origin, direction, rpy
+
+
+@numba.njit(cache=True, nogil=True)
+def _turned(cosine: float, sine: float, angle: float) -> tuple[float, float]:
+    """Cosine and sine of an angle more; a series where that is small, good to 1e-17."""
+    if abs(angle) > 0.03:
+        c, s = math.cos(angle), math.sin(angle)
+    else:
+        w = angle * angle
+        c = 1.0 - w * (0.5 - w * (1.0 / 24.0 - w * (1.0 / 720.0 - w * (1.0 / 40320.0))))
+        s = angle * (1.0 - w * (1.0 / 6.0 - w * (1.0 / 120.0 - w * (1.0 / 5040.0))))
+    return cosine * c - sine * s, sine * c + cosine * s
+
+
+@numba.njit(cache=True, nogil=True)
+def _beams(
+    sample_time: np.ndarray,
+    pose: np.ndarray,
+    time: np.ndarray,
+    rotation: np.ndarray,
+    arm: np.ndarray,
+    beam: np.ndarray,
+    origin: np.ndarray,
+    direction: np.ndarray,
+    rpy: np.ndarray,
+) -> None:
+    """Body FRD vectors into world ENU axes: Rx(roll), Ry(pitch), Rz(heading) in turn. `pose`: position, angles, cosines, sines."""
+    last = len(sample_time) - 2
+    vector, out = np.empty((2, 3)), np.empty((2, 3))
+    vector[0] = arm
+    j = 0
+    for i in range(len(time)):
+        t = time[i]
+        if last < 0:
+            part = 0.0
+        else:
+            if t < sample_time[j] or (j < last and t >= sample_time[min(j + 2, last)]):
+                j = min(max(np.searchsorted(sample_time, t, side="right") - 1, 0), last)
+            while j < last and t >= sample_time[j + 1]:
+                j += 1
+            part = min(max((t - sample_time[j]) / (sample_time[j + 1] - sample_time[j]), 0.0), 1.0)
+        to = j + 1 if last >= 0 else j
+        for k in range(3):
+            step = part * (pose[to, 3 + k] - pose[j, 3 + k])
+            rpy[i, k] = pose[j, 3 + k] + step
+            vector[1, k] = rotation[k, 0] * beam[i, 0] + rotation[k, 1] * beam[i, 1] + rotation[k, 2] * beam[i, 2]
+        cr, sr = _turned(pose[j, 6], pose[j, 9], rpy[i, 0] - pose[j, 3])
+        cp, sp = _turned(pose[j, 7], pose[j, 10], rpy[i, 1] - pose[j, 4])
+        ch, sh = _turned(pose[j, 8], pose[j, 11], rpy[i, 2] - pose[j, 5])
+        for k in range(2):
+            x, y, z = vector[k, 0], vector[k, 1], vector[k, 2]
+            y, z = cr * y - sr * z, sr * y + cr * z
+            x, z = cp * x + sp * z, cp * z - sp * x
+            out[k, 0], out[k, 1], out[k, 2] = sh * x + ch * y, ch * x - sh * y, -z
+        for k in range(3):
+            origin[i, k] = pose[j, k] + part * (pose[to, k] - pose[j, k]) + out[0, k]
+            direction[i, k] = out[1, k]
 
 
 class MapPatch:
@@ -74,25 +138,37 @@ class MapPatch:
     def relative(self, world_m: np.ndarray) -> np.ndarray:
         """(n, 3) world -> (n, 3) easting, northing, normal height minus `origin_m`. [m]"""
         out = np.empty(world_m.shape)
-        _cubic((world_m - _CENTRE_M) / _HALF_M, self._coefficient, out)
+        _cubic(world_m, _CENTRE_M, _HALF_M, self._coefficient, out)
         return out
 
 
 @numba.njit(cache=True, nogil=True)
-def _cubic(x: np.ndarray, coefficient: np.ndarray, out: np.ndarray) -> None:
+def _cubic(world: np.ndarray, centre: np.ndarray, half: np.ndarray, coefficient: np.ndarray, out: np.ndarray) -> None:
     """Sum of coefficient[a, b, c] T_a(x) T_b(y) T_c(z) over a + b + c <= 3; x in the unit cube."""
-    t = np.empty((3, 4))
-    for i in range(x.shape[0]):
-        for axis in range(3):
-            u = x[i, axis]
-            t[axis, 0], t[axis, 1], t[axis, 2], t[axis, 3] = 1.0, u, 2 * u * u - 1, (4 * u * u - 3) * u
+    flat = np.empty(60)
+    k = 0
+    for a in range(4):
+        for b in range(4 - a):
+            for c in range(4 - a - b):
+                flat[k], flat[k + 20], flat[k + 40] = coefficient[a, b, c]
+                k += 1
+    w = np.empty(20)
+    for i in range(len(world)):
+        x, y, z = (
+            (world[i, 0] - centre[0]) / half[0],
+            (world[i, 1] - centre[1]) / half[1],
+            (world[i, 2] - centre[2]) / half[2],
+        )
+        x2, y2, z2 = 2 * x * x - 1, 2 * y * y - 1, 2 * z * z - 1
+        w[0], w[1], w[2], w[3] = 1.0, z, z2, (2 * z2 - 1) * z
+        w[4], w[5], w[6] = y, y * z, y * z2
+        w[7], w[8], w[9] = y2, y2 * z, (2 * y2 - 1) * y
+        w[10], w[11], w[12] = x, x * z, x * z2
+        w[13], w[14], w[15] = x * y, x * y * z, x * y2
+        w[16], w[17], w[18], w[19] = x2, x2 * z, x2 * y, (2 * x2 - 1) * x
         e = n = h = 0.0
-        for a in range(4):
-            for b in range(4 - a):
-                ab = t[0, a] * t[1, b]
-                for c in range(4 - a - b):
-                    w = ab * t[2, c]
-                    e += w * coefficient[a, b, c, 0]
-                    n += w * coefficient[a, b, c, 1]
-                    h += w * coefficient[a, b, c, 2]
+        for k in range(20):
+            e += w[k] * flat[k]
+            n += w[k] * flat[k + 20]
+            h += w[k] * flat[k + 40]
         out[i, 0], out[i, 1], out[i, 2] = e, n, h

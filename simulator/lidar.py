@@ -1,11 +1,15 @@
 """One strip of the LiDAR, from true motion to LAS rows: beams, waveforms, the device's echoes, and their georeferencing.
 
-Streams in chunks of fixed size. Two motions meet here: the true one steers the beams, the estimated one at the stamped time
-with the nominal mounting places the returns, as post-processing does on real data. Formulas of the received power are in
-`simulator.radar_equation`, the ray tracing in `simulator.render.waveforms`, echo detection in `simulator.device`.
+Streams in chunks of fixed size, several at once, each on a thread of its own. Two motions meet here: the true one steers the
+beams, the estimated one at the stamped time with the nominal mounting places the returns, as post-processing does on real data.
+Formulas of the received power are in `simulator.radar_equation`, what a beam sees in `simulator.pulses`, echo detection in
+`simulator.device`.
 """
 
+import itertools
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -18,11 +22,13 @@ from campaign.threads import thread_count
 from campaign.truth import TrueReturns
 from scenes.model import Scene
 from scenes.spectra import reflectance_at
-from simulator.device import DetectedEchoes, Device, dn_per_w, draw_chance
-from simulator.footprint import gaussian_footprint
+from simulator.device import Device, dn_per_w, pulse_normals
+from simulator.footprint import Optics, gaussian_footprint
 from simulator.frames import SiteFrame
-from simulator.georeference import MapPatch, beams_world
+from simulator.georeference import MapPatch, Track
 from simulator.motion import Motion, SensorMounting, Strip
+from simulator.pulses.caster import Caster
+from simulator.pulses.rows import finish, inside, place, select
 from simulator.radar_equation import (
     FWHM_PER_SIGMA,
     SPEED_OF_LIGHT_M_S,
@@ -31,14 +37,13 @@ from simulator.radar_equation import (
     peak_power_w,
     unambiguous_range_m,
 )
-from simulator.randomness import Stream, generator
-from simulator.scanner import Scanner, scanner_from
+from simulator.randomness import Stream, key
+from simulator.scanner import scanner_from
 
 if TYPE_CHECKING:
     from simulator.render.scene import RenderScene
-    from simulator.render.waveforms import Beams, Echoes, Optics, Tracer
 
-BLOCK = 65_536  # pulses that share one random generator; a chunk is whole blocks
+BLOCK = 8192  # pulses that are worked on at once, and stay in a core's cache; a chunk is whole blocks
 HALF_C_M_PS = 0.5 * SPEED_OF_LIGHT_M_S * 1e-12  # length of the packets' direction vector
 ALONE_M = 0.05  # a single return this close to the beam's axis is the axis' surface
 
@@ -62,25 +67,11 @@ class Chart(Protocol):
         ...
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Shots:
-    """Pulses of one chunk as fired."""
-
-    time_s: np.ndarray  # (n,) true, adjusted standard GPS time
-    encoder_rad: np.ndarray  # (n,) as read, with the encoder's error
-    channel: np.ndarray  # (n,)
-    beams: "Beams"
-    gain: np.ndarray  # (n,)
-    chance: np.ndarray  # (n, 2 samples) uint16, for the digitiser
-
-
-def optics_from(lidar: Lidar, visibility_km: float) -> "Optics":
+def optics_from(lidar: Lidar, visibility_km: float) -> Optics:
     """What the ray tracer needs to know of device and air.
 
     The receiver lowers a pulse's peak and keeps its energy, hence the ratio of the two widths.
     """
-    from simulator.render.waveforms import Optics
-
     echo_ns = echo_fwhm_ns(lidar.pulse_fwhm_ns, lidar.receiver_fwhm_ns)
     peak_w = peak_power_w(lidar.pulse_energy_uj * 1e-6, lidar.pulse_fwhm_ns * 1e-9) * lidar.pulse_fwhm_ns / echo_ns
     sigma_ns = echo_ns / FWHM_PER_SIGMA
@@ -155,37 +146,35 @@ def observe(
     ConfigError
         A surface beyond the unambiguous range, a trajectory that does not cover the strip, or a scanner that cannot be.
     """
-    from simulator.render.waveforms import Tracer
-
-    lidar = config.lidar
-    scanner = scanner_from(lidar)
     for motion, clock_s in ((true_motion, 0.0), (estimated_motion, config.faults.lidar_clock_s)):
         _require_cover(motion, strip, clock_s)
-    optics = optics_from(lidar, config.environment.visibility_km)
-    tracer = Tracer(render_scene, backscatter(render_scene.scene, lidar.wavelength_nm), optics)
-    post = _PostProcessing(config, strip, estimated_motion, nominal_mounting, chart, render_scene.scene, optics)
-    device = Device(lidar, threads=thread_count())
-    count = scanner.pulse_count(strip.end_s - strip.start_s)
-    limit_m = unambiguous_range_m(scanner.pulse_interval_s)
-    starts = range(0, count, config.recording.pulses_per_chunk)
+    work = _Strip(
+        render_scene.scene,
+        config,
+        strip,
+        Track(true_motion),
+        Track(estimated_motion),
+        true_mounting,
+        nominal_mounting,
+        chart,
+        stream,
+    )
+    threads = thread_count()
+    starts = iter(range(0, work.count, config.recording.pulses_per_chunk))
+    waiting: deque[Future[tuple[StripChunk | None, float]]] = deque()
+    pool = ThreadPoolExecutor(threads)
     try:
-        ahead = None
-        for start in [*starts, None]:
-            # While the workers trace one chunk, this thread aims the next one and reads out the one before.
-            shots = None
-            if start is not None:
-                shots = _aim(config, strip, scanner, start, count, true_motion, true_mounting, stream)
-            echoes = None if ahead is None else ahead[1]()
-            launched = None if shots is None else (shots, tracer.launch(shots.beams))
-            if ahead is not None and echoes is not None:
-                _require_unambiguous(echoes, limit_m)
-                waves = device.digitise(echoes.waveform_dn, ahead[0].chance, ahead[0].gain)
-                chunk = post.rows(ahead[0], echoes, device.detect(waves), waves, scanner, tracer)
-                if chunk is not None:
-                    yield chunk
-            ahead = launched
+        while True:
+            for start in itertools.islice(starts, threads + 1 - len(waiting)):
+                waiting.append(pool.submit(work.chunk, start))
+            if not waiting:
+                return
+            chunk, farthest_m = waiting.popleft().result()
+            _require_unambiguous(farthest_m, unambiguous_range_m(work.scanner.pulse_interval_s))
+            if chunk is not None:
+                yield chunk
     finally:
-        device.close()
+        pool.shutdown(cancel_futures=True)
 
 
 def _require_cover(motion: Motion, strip: Strip, clock_s: float) -> None:
@@ -199,8 +188,7 @@ def _require_cover(motion: Motion, strip: Strip, clock_s: float) -> None:
         )
 
 
-def _require_unambiguous(echoes: "Echoes", limit_m: float) -> None:
-    farthest = float(echoes.last_range_m.max())
+def _require_unambiguous(farthest: float, limit_m: float) -> None:
     if farthest > limit_m:
         raise ConfigError(
             "a surface lies beyond the range at which echoes of two pulses cannot be told apart",
@@ -211,154 +199,148 @@ def _require_unambiguous(echoes: "Echoes", limit_m: float) -> None:
         )
 
 
-def _aim(
-    config: Config,
-    strip: Strip,
-    scanner: Scanner,
-    start: int,
-    count: int,
-    motion: Motion,
-    mounting: SensorMounting,
-    stream: Stream,
-) -> _Shots:
-    """True beams of the chunk that begins with pulse `start`, and all its random numbers."""
-    from simulator.render.waveforms import Beams
+@dataclass(frozen=True, kw_only=True)
+class _Part:
+    """Rows of one block. Fields as in `Returns` and `TrueReturns`."""
 
-    lidar, faults = config.lidar, config.faults
-    index = np.arange(start, min(start + config.recording.pulses_per_chunk, count))
-    normals, chances = [], []
-    for block in range(start, start + len(index), BLOCK):
-        rng = generator(config.seed, stream, strip.sortie, strip.number, block // BLOCK)
-        size = min(BLOCK, count - block)
-        normals.append(rng.standard_normal((3, size)))
-        chances.append(draw_chance(rng, size, lidar.samples))
-    encoder_error, gain_error, timing_error = np.concatenate(normals, axis=1)
-    pulses = scanner.pulses(index)
-    time = strip.start_s + pulses.time_s
-    origin, direction, _ = beams_world(motion, time, mounting, pulses.direction_lidar)
-    return _Shots(
-        time_s=time,
-        encoder_rad=pulses.encoder_angle_rad + np.radians(lidar.encoder_std_deg) * encoder_error,
-        channel=pulses.channel,
-        beams=Beams(origin_m=origin, direction=direction, shift_m=lidar.range_noise_m * timing_error),
-        gain=np.maximum(faults.lidar_gain * (1.0 + lidar.gain_jitter * gain_error), 0.0),
-        chance=chances[0] if len(chances) == 1 else np.concatenate(chances),
-    )
+    returns: dict[str, np.ndarray]
+    truth: dict[str, np.ndarray]
+    packets: np.ndarray
 
 
-class _PostProcessing:
-    """What the operator's software does with a strip: measured range, place on the map, LAS attributes, kept packets."""
+class _Strip:
+    """Everything that does not change from pulse to pulse. `chunk` may be called from several threads, in any order."""
 
     def __init__(
         self,
+        scene: Scene,
         config: Config,
         strip: Strip,
-        motion: Motion,
-        mounting: SensorMounting,
+        true_track: Track,
+        estimated_track: Track,
+        true_mounting: SensorMounting,
+        nominal_mounting: SensorMounting,
         chart: Chart,
-        scene: Scene,
-        optics: "Optics",
+        stream: Stream,
     ) -> None:
-        self._config = config
-        self._strip = strip
-        self._motion = motion
-        self._mounting = mounting
-        self._map = chart
-        self._scale_dn_m2 = optics.scale_dn_m2
+        lidar = config.lidar
+        self.scanner = scanner_from(lidar)
+        self.count = self.scanner.pulse_count(strip.end_s - strip.start_s)
+        self._config, self._strip, self._chart = config, strip, chart
+        self._true, self._estimated = (true_track, true_mounting), (estimated_track, nominal_mounting)
+        self._optics = optics_from(lidar, config.environment.visibility_km)
+        self._caster = Caster(scene.mesh, backscatter(scene, lidar.wavelength_nm), self._optics)
+        self._device = Device(lidar)
+        self._key = np.uint64(key(config.seed, stream, strip.sortie, strip.number))
         self._near_target = None if config.recording.waveforms == "all" else _NearTargets(config, scene)
-        corner = scene.mesh.vertices_m[scene.mesh.faces]
+        self._step_m = 0.5e-9 * SPEED_OF_LIGHT_M_S * lidar.sampling_ns
+        self._setting = np.array([self._step_m, lidar.min_range_m, FWHM_PER_SIGMA * lidar.sampling_ns])
+        mesh = scene.mesh
+        corner = mesh.vertices_m[mesh.faces]
         normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         self._normal = (normal / np.linalg.norm(normal, axis=1, keepdims=True)).astype(np.float32)
-        self._mesh = scene.mesh
+        self._target = mesh.target.astype(np.int32)
+        self._part = np.where(mesh.part <= 9, mesh.part, -1).astype(np.int8)
 
-    def rows(
-        self,
-        shots: _Shots,
-        echoes: "Echoes",
-        found: DetectedEchoes,
-        waves: np.ndarray,
-        scanner: Scanner,
-        tracer: "Tracer",
-    ) -> StripChunk | None:
-        """LAS rows of one chunk, None where no pulse gave an echo."""
-        lidar, faults = self._config.lidar, self._config.faults
-        step_m = 0.5e-9 * SPEED_OF_LIGHT_M_S * lidar.sampling_ns
-        device_range = (echoes.start_sample[:, None] + found.position) * step_m
-        valid = device_range >= lidar.min_range_m  # NaN, no echo, is not
-        valid &= echoes.hits[:, None] > 0  # a packet is recorded only where light came back
-        pulse, echo = np.nonzero(valid)
-        if len(pulse) == 0:
-            return None
-        per_pulse = valid.sum(axis=1)
-        position = found.position[pulse, echo]
-        measured = measured_range_m(device_range[pulse, echo], faults)
-        amplitude = found.amplitude_dn[pulse, echo]
+    def chunk(self, start: int) -> tuple[StripChunk | None, float]:
+        """Rows of the chunk that begins with pulse `start`, None where no pulse gave an echo; the farthest surface hit [m]."""
+        end = min(start + self._config.recording.pulses_per_chunk, self.count)
+        parts, farthest, packets = [], 0.0, 0
+        for first in range(start, end, BLOCK):
+            part, far_m = self._block(first, min(BLOCK, end - first), packets)
+            farthest = max(farthest, far_m)
+            packets += len(part.packets)
+            parts.append(part)
+        if not sum(len(p.returns["packet"]) for p in parts):
+            return None, farthest
+        joined = {name: np.concatenate([p.returns[name] for p in parts]) for name in parts[0].returns}
+        known = {name: np.concatenate([p.truth[name] for p in parts]) for name in parts[0].truth}
+        return (
+            StripChunk(
+                returns=Returns(**joined),
+                packets=np.concatenate([p.packets for p in parts]),
+                truth=TrueReturns(**known),
+            ),
+            farthest,
+        )
 
-        stamped = shots.time_s + faults.lidar_clock_s
-        beam = scanner.direction(shots.encoder_rad, shots.channel)
-        origin, direction, rpy = beams_world(self._motion, stamped, self._mounting, beam)
+    def _block(self, first: int, n: int, packets: int) -> tuple[_Part, float]:
+        lidar, faults, scanner = self._config.lidar, self._config.faults, self.scanner
+        # ---- fire: the true motion steers the beams ----
+        pulses = scanner.pulses(np.arange(first, first + n))
+        time_s = self._strip.start_s + pulses.time_s
+        encoder_error, gain_error, timing_error = pulse_normals(self._key, first, n, lidar.samples)
+        encoder_rad = pulses.encoder_angle_rad + np.radians(lidar.encoder_std_deg) * encoder_error
+        shift_m = lidar.range_noise_m * timing_error.astype(np.float64)
+        gain = np.maximum(faults.lidar_gain * (1.0 + lidar.gain_jitter * gain_error.astype(np.float64)), 0.0)
+        origin, direction, _ = self._true[0].beams(time_s, self._true[1], pulses.direction_lidar)
+        seen = self._caster.see(origin, direction, scanner.stride)
+        waves, start, found = self._device.receive(seen, self._optics, shift_m, gain, self._key, first)
+        # ---- post-processing: the estimated motion at the stamped time places the returns ----
+        stamped = time_s + faults.lidar_clock_s
+        beam = scanner.direction(encoder_rad, pulses.channel)
+        origin, direction, rpy = self._estimated[0].beams(stamped, self._estimated[1], beam)
+        rows = int(found.count.sum())
+        kinds = (np.int64, np.uint8, np.uint8, np.float64, np.float64, np.float32, np.float32)
+        out: list[np.ndarray] = [np.empty(rows, kind) for kind in kinds]
+        device = (start, found.count, found.position, found.amplitude_dn, found.sigma)
+        rows = select(seen.count, *device, self._setting, *out)
+        pulse, number, siblings, seen_m, at, amplitude, width_ns = (a[:rows] for a in out)
+        measured_m, world = measured_range_m(seen_m, faults), np.empty((rows, 3))
+        place(pulse, measured_m, origin, direction, world)
+        xyz, packet, location = np.empty((rows, 3)), np.empty(rows, np.int64), np.empty(rows, np.float32)
+        towards, kept = np.empty((rows, 3), np.float32), np.empty((n, waves.shape[1]), np.uint16)
+        stored = finish(
+            pulse,
+            np.ones(rows, np.bool_) if self._near_target is None else self._near_target(world),
+            at,
+            self._chart.relative(world),
+            self._chart.relative(origin),
+            self._chart.origin_m,
+            waves,
+            packets,
+            1e3 * lidar.sampling_ns,
+            HALF_C_M_PS,
+            xyz,
+            packet,
+            location,
+            towards,
+            kept,
+        )
         heading = rpy[:, 2]
         right = direction[:, 0] * np.cos(heading) - direction[:, 1] * np.sin(heading)
-        scan_angle = np.degrees(np.arctan2(right, -direction[:, 2]))
-        world = origin[pulse] + measured[:, None] * direction[pulse]
-        on_map = self._map.relative(world)
-        towards = self._map.relative(origin)[pulse] - on_map
-        towards *= (HALF_C_M_PS / np.sqrt((towards**2).sum(axis=1)))[:, None]
-
-        keep = np.ones(len(pulse), bool) if self._near_target is None else self._near_target(world)
-        stored = np.zeros(len(waves), bool)
-        stored[pulse[keep]] = True
-        number = np.where(stored, np.cumsum(stored) - 1, -1)
-        returns = Returns(
-            xyz_m=on_map + self._map.origin_m,
-            gps_time_s=stamped[pulse],
-            intensity=np.clip(np.round(16.0 * amplitude), 0, 65535).astype(np.uint16),
-            return_number=(np.cumsum(valid, axis=1)[pulse, echo]).astype(np.uint8),
-            number_of_returns=per_pulse[pulse].astype(np.uint8),
-            scan_angle_deg=scan_angle[pulse].astype(np.float32),
-            encoder_angle_deg=np.degrees(shots.encoder_rad)[pulse].astype(np.float32),
-            channel=shots.channel[pulse],
-            amplitude=amplitude,
-            pulse_width_ns=(found.sigma[pulse, echo] * (FWHM_PER_SIGMA * lidar.sampling_ns)).astype(np.float32),
-            reflectance_db=(10.0 * np.log10(amplitude * measured**2 / self._scale_dn_m2)).astype(np.float32),
-            strip=np.full(len(pulse), self._strip.number, np.uint16),
-            packet=number[pulse].astype(np.int64),
-            return_location_ps=np.where(stored[pulse], position * (1e3 * lidar.sampling_ns), 0.0).astype(np.float32),
-            wave_direction_m_ps=towards.astype(np.float32),
-        )
-        return StripChunk(
-            returns=returns,
-            packets=waves[stored],
-            truth=self._truth(shots, echoes, tracer, pulse, device_range[pulse, echo], per_pulse[pulse]),
-        )
-
-    def _truth(
-        self,
-        shots: _Shots,
-        echoes: "Echoes",
-        tracer: "Tracer",
-        pulse: np.ndarray,
-        device_range_m: np.ndarray,
-        siblings: np.ndarray,
-    ) -> TrueReturns:
-        """Surface of each return: the beam axis', or where several surfaces share a footprint the one nearest in range."""
-        from simulator.render.waveforms import Beams
-
-        seen = device_range_m - shots.beams.shift_m[pulse]
-        range_m, face = echoes.axis_range_m[pulse].astype(np.float64), echoes.axis_face[pulse].copy()
-        mixed = np.flatnonzero((siblings > 1) | (np.abs(seen - range_m) > ALONE_M))
-        if len(mixed):
-            rows = pulse[mixed]
-            beams = Beams(
-                origin_m=shots.beams.origin_m[rows], direction=shots.beams.direction[rows], shift_m=np.zeros(len(rows))
-            )
-            range_m[mixed], face[mixed] = tracer.surface_near(beams, seen[mixed])
-        return TrueReturns(
-            range_m=range_m,
-            normal_world=self._normal[face],
-            target=self._mesh.target[face].astype(np.int32),
-            face=np.where(self._mesh.part[face] <= 9, self._mesh.part[face], -1).astype(np.int8),
-        )
+        scan_angle = np.degrees(np.arctan2(right, -direction[:, 2])).astype(np.float32)
+        returns = {
+            "xyz_m": xyz,
+            "gps_time_s": stamped[pulse],
+            "intensity": np.clip(np.round(np.float32(16.0) * amplitude), 0, 65535).astype(np.uint16),
+            "return_number": number,
+            "number_of_returns": siblings,
+            "scan_angle_deg": scan_angle[pulse],
+            "encoder_angle_deg": np.degrees(encoder_rad).astype(np.float32)[pulse],
+            "channel": pulses.channel[pulse],
+            "amplitude": amplitude,
+            "pulse_width_ns": width_ns,
+            "reflectance_db": np.float32(10.0)
+            * np.log10((amplitude * measured_m**2 / self._optics.scale_dn_m2).astype(np.float32)),
+            "strip": np.full(rows, self._strip.number, np.uint16),
+            "packet": packet,
+            "return_location_ps": location,
+            "wave_direction_m_ps": towards,
+        }
+        # ---- truth ----
+        from_m = seen_m - shift_m[pulse]
+        alone = (siblings <= 1) & (np.abs(from_m - seen.extent_m[pulse, 0]) <= ALONE_M)
+        range_m, face = self._caster.surfaces(seen, pulse, from_m, alone)
+        truth = {
+            "range_m": range_m,
+            "normal_world": self._normal[face],
+            "target": self._target[face],
+            "face": self._part[face],
+        }
+        hit = seen.count > 0
+        far_m = float(seen.extent_m[hit, 2].max()) if hit.any() else 0.0
+        return _Part(returns=returns, truth=truth, packets=kept[: stored - packets]), far_m
 
 
 class _NearTargets:
@@ -373,16 +355,15 @@ class _NearTargets:
         high = (centre + radius[:, None]).max(axis=0) if len(centre) else np.zeros(2)
         shape = np.ceil((high - self._low) / self.CELL_M).astype(int) + 2
         self._inside = np.zeros(shape, bool)
-        for place, reach in zip(centre, radius, strict=True):
-            first = np.floor((place - reach - self._low) / self.CELL_M).astype(int).clip(0)
-            last = np.ceil((place + reach - self._low) / self.CELL_M).astype(int) + 1
-            x, y = (self._low[k] + (np.arange(first[k], last[k]) + 0.5) * self.CELL_M - place[k] for k in range(2))
+        for middle, reach in zip(centre, radius, strict=True):
+            first = np.floor((middle - reach - self._low) / self.CELL_M).astype(int).clip(0)
+            last = np.ceil((middle + reach - self._low) / self.CELL_M).astype(int) + 1
+            x, y = (self._low[k] + (np.arange(first[k], last[k]) + 0.5) * self.CELL_M - middle[k] for k in range(2))
             part = self._inside[first[0] : last[0], first[1] : last[1]]
             part |= x[: part.shape[0], None] ** 2 + y[None, : part.shape[1]] ** 2 <= reach**2
 
     def __call__(self, world_m: np.ndarray) -> np.ndarray:
         """(n, 3) -> (n,) bool."""
-        cell = np.floor((world_m[:, :2] - self._low) / self.CELL_M)
-        legal = ((cell >= 0) & (cell < self._inside.shape)).all(axis=1)
-        index = np.where(legal[:, None], cell, 0).astype(np.int64)
-        return np.asarray(legal & self._inside[index[:, 0], index[:, 1]])
+        keep = np.empty(len(world_m), np.bool_)
+        inside(world_m, self._low, self.CELL_M, self._inside, keep)
+        return keep

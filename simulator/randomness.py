@@ -25,3 +25,8 @@ class Stream(IntEnum):
 def generator(seed: int, stream: Stream, *key: int) -> np.random.Generator:
     """One independent generator for each (seed, stream, key), key for example (sortie, strip, block)."""
     return np.random.default_rng(np.random.SeedSequence([seed, int(stream), *key]))
+
+
+def key(seed: int, stream: Stream, *number: int) -> int:
+    """64 bits for a stream of which any number can be drawn by its place alone."""
+    return int(np.random.SeedSequence([seed, int(stream), *number]).generate_state(1, np.uint64)[0])

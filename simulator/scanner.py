@@ -8,6 +8,7 @@ encoder angle, positive to the right, tilted along x by a channel's elevation. P
 from dataclasses import dataclass
 from typing import Protocol
 
+import numba
 import numpy as np
 
 from campaign.config import Lidar
@@ -25,11 +26,16 @@ class PulseAngles:
 
 
 class Scanner(Protocol):
-    """What the simulation of a strip asks of a scanner. A Risley pair or an oscillating mirror fits the same four."""
+    """What the simulation of a strip asks of a scanner. A Risley pair or an oscillating mirror fits the same five."""
 
     @property
     def pulse_interval_s(self) -> float:
         """Between two pulses that the same receiver waits for: bounds the unambiguous range."""
+        ...
+
+    @property
+    def stride(self) -> int:
+        """Pulses i and i + stride point to nearly the same place: the number of channels fired in turn."""
         ...
 
     def pulse_count(self, duration_s: float) -> int:
@@ -65,6 +71,10 @@ class TurningScanner:
         return len(self.elevation_rad) / self.prr_hz
 
     @property
+    def stride(self) -> int:
+        return len(self.elevation_rad)
+
+    @property
     def pulses_per_line(self) -> int:
         """Kept in each line."""
         share = (self.sector_rad[1] - self.sector_rad[0]) / self.sweep_rad
@@ -82,11 +92,12 @@ class TurningScanner:
         return int(lines[0] * self.pulses_per_line + kept.sum())
 
     def pulses(self, index: np.ndarray) -> PulseAngles:
-        line, within = np.divmod(np.asarray(index, np.int64), self.pulses_per_line)
-        fired = self._first_pulse(line) + within
-        time = fired / self.prr_hz
-        angle = self.start_rad + self.sweep_rad * (time * self.scan_rate_hz - line)
-        channel = (fired % len(self.elevation_rad)).astype(np.uint8)
+        n = len(index)
+        time, angle, channel = np.empty(n), np.empty(n), np.empty(n, np.uint8)
+        setting = (self.prr_hz, self.scan_rate_hz, self.start_rad, self.sweep_rad, self.sector_rad[0])
+        _turning(
+            np.asarray(index, np.int64), self.pulses_per_line, setting, len(self.elevation_rad), time, angle, channel
+        )
         return PulseAngles(
             time_s=time,
             encoder_angle_rad=angle,
@@ -95,11 +106,42 @@ class TurningScanner:
         )
 
     def direction(self, encoder_angle_rad: np.ndarray, channel: np.ndarray) -> np.ndarray:
-        elevation = np.asarray(self.elevation_rad)[channel]
-        across = np.cos(elevation)
-        return np.stack(
-            [np.sin(elevation), across * np.sin(encoder_angle_rad), across * np.cos(encoder_angle_rad)], axis=-1
-        )
+        out = np.empty((len(encoder_angle_rad), 3))
+        elevation = np.asarray(self.elevation_rad)
+        _fan(np.sin(encoder_angle_rad), np.cos(encoder_angle_rad), channel, np.sin(elevation), np.cos(elevation), out)
+        return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _turning(
+    index: np.ndarray,
+    per_line: int,
+    setting: tuple[float, float, float, float, float],
+    channels: int,
+    time: np.ndarray,
+    angle: np.ndarray,
+    channel: np.ndarray,
+) -> None:
+    """Pulse rate, scan rate, start, sweep and left edge of the sector, in `setting`; see `TurningScanner._first_pulse`."""
+    prr, rate, start, sweep, left = setting
+    edge = (left - start) / sweep
+    for i in range(len(index)):
+        line = index[i] // per_line
+        fired = int(np.ceil((line + edge) * (prr / rate) - 1e-6)) + index[i] - line * per_line
+        time[i] = fired / prr
+        angle[i] = start + sweep * (time[i] * rate - line)
+        channel[i] = fired % channels
+
+
+@numba.njit(cache=True, nogil=True)
+def _fan(
+    across: np.ndarray, down: np.ndarray, channel: np.ndarray, sine: np.ndarray, cosine: np.ndarray, out: np.ndarray
+) -> None:
+    """`sine`, `cosine`: of each channel's elevation."""
+    for i in range(len(across)):
+        out[i, 0] = sine[channel[i]]
+        out[i, 1] = cosine[channel[i]] * across[i]
+        out[i, 2] = cosine[channel[i]] * down[i]
 
 
 def scanner_from(lidar: Lidar) -> Scanner:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from simulator.footprint import Footprint
+from simulator.footprint import Optics
 from simulator.radar_equation import SPEED_OF_LIGHT_M_S
 from simulator.render.scene import RenderScene
 from simulator.render.upload import uploaded
@@ -19,19 +19,6 @@ import drjit as dr  # isort: skip  (simulator.render.scene has chosen the varian
 import mitsuba as mi  # isort: skip
 
 NO_HIT = np.uint32(0xFFFFFFFF)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Optics:
-    """Constants of one device and one state of the air."""
-
-    footprint: Footprint
-    echo_sigma_ns: float  # of pulse and receiver together
-    sampling_ns: float
-    samples: int
-    pre_samples: int  # whole samples between the packet's first one and the nearest sub-ray's echo
-    scale_dn_m2: float  # peak of an echo of rho cos(alpha) = 1 at 1 m without air [DN m2]
-    extinction_per_m: float  # one way
 
 
 @dataclass(frozen=True, kw_only=True)

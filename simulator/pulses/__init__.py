@@ -1,0 +1,11 @@
+"""Compiled kernels that take a block of pulses from beams to rows. Plain arrays in and out; no files, no threads.
+
+tree       boxes over the scene's triangles
+fan        which triangles each beam's cone touches
+cone       what its footprint sees of them, as a few echoes
+caster     the three together, for a scene and a LiDAR
+sampling   echoes to samples, noise, whole steps
+rows       detected echoes to rows
+
+Each kernel stands in one file with all that it calls: Numba's cache notices changes of that file alone.
+"""

@@ -1,0 +1,91 @@
+"""A scene and a LiDAR, ready to be asked what beams see of it. The kernels are `fan` and `cone`."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from scenes.model import Mesh
+from simulator.footprint import Optics
+from simulator.pulses.cone import nearest_hit, see
+from simulator.pulses.fan import touch
+from simulator.pulses.tree import build_tree
+from simulator.radar_equation import SPEED_OF_LIGHT_M_S
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """Echoes of n beams before noise; see `cone.see`. Rows are triangles in the tree's order: `Caster.face` has their numbers."""
+
+    echo: np.ndarray  # (e, 3) float64: peak [DN], range [m], added variance [m2]
+    first: np.ndarray  # (n,) int64: of each pulse's rows in `echo`
+    count: np.ndarray  # (n,) int32: of its rows; 0: nothing is hit
+    extent_m: np.ndarray  # (n, 3) float64: innermost, nearest and farthest sub-ray that hits; NaN: none
+    axis_row: np.ndarray  # (n,) int64 triangle that the innermost hits, -1
+    slot: np.ndarray  # (n,) int32: row in the next two where surfaces of one footprint lie apart, else -1
+    hit_m: np.ndarray  # (k, s) float32: range of each sub-ray
+    hit_row: np.ndarray  # (k, s) int32: its triangle, -1 where nothing is hit
+
+
+class Caster:
+    """Tables are made once; `see` may be called from several threads."""
+
+    def __init__(self, mesh: Mesh, backscatter: np.ndarray, optics: Optics) -> None:
+        """`backscatter`: (materials,) pi times the BRDF towards the source at the laser line."""
+        tree = build_tree(mesh.vertices_m, mesh.faces)
+        pattern = optics.footprint
+        offset = pattern.offset.astype(np.float32)
+        self._tree = tree
+        self._touch = (tree.box.ravel(), tree.level, tree.block.ravel(), len(tree.corner))
+        self._reach = float(np.hypot(offset[:, 0], offset[:, 1]).max())
+        self._see: tuple[Any, ...] = (
+            tree.corner,
+            np.ascontiguousarray(backscatter[mesh.material[tree.face]], np.float64),
+            np.ascontiguousarray(offset[:, 0]),
+            np.ascontiguousarray(offset[:, 1]),
+            pattern.weight.astype(np.float32),
+            self._reach,
+            pattern.spread_rad,
+            optics.scale_dn_m2,
+            optics.extinction_per_m,
+            0.5e-9 * SPEED_OF_LIGHT_M_S * optics.echo_sigma_ns,
+        )
+
+    def see(self, origin_m: np.ndarray, direction: np.ndarray, stride: int = 1) -> Seen:
+        """(n, 3) and (n, 3) float64; pulses i and i + stride are neighbours."""
+        touched = touch(origin_m, direction, stride, self._reach, *self._touch)
+        echo, first, count, extent_m, axis_row, slot, hit_m, hit_row = see(origin_m, direction, *touched, *self._see)
+        return Seen(
+            echo=echo,
+            first=first,
+            count=count,
+            extent_m=extent_m,
+            axis_row=axis_row,
+            slot=slot,
+            hit_m=hit_m,
+            hit_row=hit_row,
+        )
+
+    def surfaces(
+        self, seen: Seen, pulse: np.ndarray, range_m: np.ndarray, alone: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Which surface each return came from: the beam axis', or where surfaces lie apart the sub-ray's nearest in range.
+
+        Parameters
+        ----------
+        seen : Seen
+        pulse : (r,) ndarray
+            Of each return.
+        range_m : (r,) ndarray
+            Where the device saw it. [m]
+        alone : (r,) ndarray, bool
+            The axis' surface, whatever else there is.
+
+        Returns
+        -------
+        (r,) ndarray, (r,) ndarray
+            Range [m] and face in the mesh.
+        """
+        found_m, row = seen.extent_m[pulse, 0], seen.axis_row[pulse]
+        nearest_hit(range_m, np.where(alone, np.int32(-1), seen.slot[pulse]), seen.hit_m, seen.hit_row, found_m, row)
+        return found_m, self._tree.face[row]

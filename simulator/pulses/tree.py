@@ -1,0 +1,102 @@
+"""Boxes over the triangles of a scene: a wide tree in plain arrays, for whoever asks what a narrow fan may touch.
+
+Triangles are put in an order in which 32 in a row are neighbours; 32 blocks share a box of the next level, and so on, so the
+tree has no pointers, and a test of 32 boxes or triangles is a handful of vector instructions.
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+WIDE = 32
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tree:
+    """t triangles; vertices as single precision holds them, as every ray tracer does."""
+
+    corner: np.ndarray  # (t, 9) float32: three vertices, in the tree's order [m]
+    face: np.ndarray  # (t,) int64: number in the mesh
+    block: np.ndarray  # (b, 9, 32) float32: the same vertices by blocks; past the last triangle, the first one again
+    box: np.ndarray  # (m, 6, 32) float32: centre and half size of 32 nodes; a missing node's half size is negative [m]
+    level: np.ndarray  # (l,) int64: where each level begins in `box`, the leaves' own first; the last level is one row
+
+
+def build_tree(vertices_m: np.ndarray, faces: np.ndarray) -> Tree:
+    """(v, 3) and (t, 3), at least one triangle; the same mesh gives the same tree."""
+    corner = np.asarray(vertices_m, np.float32)[faces].reshape(-1, 9)
+    order = _order(corner.reshape(-1, 3, 3).mean(axis=1, dtype=np.float64))
+    corner = np.ascontiguousarray(corner[order])
+    count = len(corner)
+    filled = np.concatenate([corner, np.repeat(corner[:1], -count % WIDE, axis=0)])
+    filled[count:] = corner[-1:]  # for the boxes; a query goes by the count
+    vertex = filled.reshape(-1, 3 * WIDE, 3).astype(np.float64)
+    low, high = vertex.min(axis=1), vertex.max(axis=1)
+    boxes, level = [], [0]
+    while True:
+        centre, half = 0.5 * (low + high), 0.5 * (high - low)
+        node = np.concatenate([centre, half], axis=1).astype(np.float32)
+        node[:, 3:] += 4e-7 * (np.abs(node[:, :3]) + node[:, 3:])  # what rounding of both may lose
+        missing = np.tile(np.array([0, 0, 0, -1e30, -1e30, -1e30], np.float32), (-len(node) % WIDE, 1))
+        boxes.append(np.concatenate([node, missing]).reshape(-1, WIDE, 6).transpose(0, 2, 1))
+        if len(low) <= WIDE:
+            break
+        level.append(level[-1] + len(boxes[-1]))
+        start = np.arange(0, len(low), WIDE)
+        low, high = np.minimum.reduceat(low, start), np.maximum.reduceat(high, start)
+    return Tree(
+        corner=corner,
+        face=order,
+        block=np.ascontiguousarray(filled.reshape(-1, WIDE, 9).transpose(0, 2, 1)),
+        box=np.ascontiguousarray(np.concatenate(boxes)),
+        level=np.array(level, np.int64),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _order(point: np.ndarray) -> np.ndarray:
+    """(t, 3) -> an order in which every 32, and every 32 times 32, are neighbours.
+
+    The points are halved across their longest extent, at a multiple of the width, again and again.
+    """
+    count = len(point)
+    order = np.arange(count)
+    stack = [(0, count)]
+    while len(stack) > 0:
+        begin, end = stack.pop()
+        if end - begin <= WIDE:
+            continue
+        axis, longest = 0, -1.0
+        for k in range(3):
+            low, high = np.inf, -np.inf
+            for j in range(begin, end):
+                low, high = min(low, point[order[j], k]), max(high, point[order[j], k])
+            if high - low > longest:
+                axis, longest = k, high - low
+        unit = WIDE
+        while unit * WIDE < end - begin:
+            unit *= WIDE
+        pieces = (end - begin + unit - 1) // unit
+        middle = begin + (pieces // 2) * unit
+        left, right = begin, end - 1
+        while left < right:  # quickselect: what belongs before `middle` goes there
+            pivot = point[order[(left + right) // 2], axis]
+            a, b = left, right
+            while a <= b:
+                while point[order[a], axis] < pivot:
+                    a += 1
+                while point[order[b], axis] > pivot:
+                    b -= 1
+                if a <= b:
+                    order[a], order[b] = order[b], order[a]
+                    a, b = a + 1, b - 1
+            if middle <= b:
+                right = b
+            elif middle >= a:
+                left = a
+            else:
+                break
+        stack.append((begin, middle))
+        stack.append((middle, end))
+    return order
