@@ -8,6 +8,7 @@ from campaign.survey import SurveyedTarget
 from evaluator.conformity.model import ConformityInputs, Row, missing, passed, percent, row
 from evaluator.frames import WorldFrame
 from evaluator.model import CampaignData
+from evaluator.observe.panel_images import camera_lens
 
 _MATERIALS = {"barium_sulfate": "BaSO4", "ptfe": "PTFE", "water_based_paint": "water-based paint"}
 _FLATNESS = 0.05
@@ -185,10 +186,9 @@ def common_field_half_m(data: CampaignData) -> tuple[float, float] | None:
     if data.plan is None or not data.plan.strips or data.camera is None or data.lidar is None:
         return None
     height = min(s.height_m for s in data.plan.strips)
-    focal = data.camera.nominal_focal_length_mm * 1000.0
-    across, along = (
-        n * data.camera.pixel_size_um / focal / 2.0 * height for n in (data.camera.width_px, data.camera.height_px)
-    )
+    lens = camera_lens(data.camera)
+    across = data.camera.width_px / lens.fx_px / 2.0 * height
+    along = data.camera.height_px / lens.fy_px / 2.0 * height
     low, high = data.lidar.sector_deg
     across = min(across, height * np.tan(np.radians(min(abs(low), abs(high), 45.0))), height)
     along = min(along, height)

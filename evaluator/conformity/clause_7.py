@@ -11,6 +11,7 @@ from evaluator.conformity.flight import (
 )
 from evaluator.conformity.model import ConformityInputs, Row, Status, missing, passed, percent, row
 from evaluator.model import CampaignData, EvaluationError
+from evaluator.observe.panel_images import focal_length_mm
 
 _MAX_SPEED = {"fixed_wing": 30.0, "multirotor": 16.0}
 _FORCE_5_M_S = 10.7
@@ -24,7 +25,7 @@ def flight_height(focal_mm: float, gsd_m: float, pixel_mm: float) -> float:
     Parameters
     ----------
     focal_mm : float
-        Focal length f. [mm]
+        Focal length f: the lens's principal distance, see `focal_length_mm`. [mm]
     gsd_m : float
         Ground resolution GSD. [m]
     pixel_mm : float
@@ -181,14 +182,12 @@ def _resolution(data: CampaignData) -> Row:
     limit = f"within {percent(_AGREES, 0)} of the lowest design height"
     if data.plan is None or data.camera is None or not data.plan.strips:
         return missing("7.4 a", requirement, limit, "plan or camera sheet")
-    focal, pixel = data.camera.nominal_focal_length_mm, data.camera.pixel_size_um / 1000.0
+    focal, pixel = focal_length_mm(data.camera), data.camera.pixel_size_um / 1000.0
     if not data.plan.gsd_m > 0.0:
         return missing("7.4 a", requirement, limit, "ground resolution in plan.json")
     height = flight_height(focal, data.plan.gsd_m, pixel)
     design = min(s.height_m for s in data.plan.strips)
-    text = (
-        f"{focal:g} mm × {data.plan.gsd_m * 100:.2f} cm / {pixel * 1000:g} µm = {height:.1f} m, planned {design:.1f} m"
-    )
+    text = f"{focal:.2f} mm × {data.plan.gsd_m * 100:.2f} cm / {pixel * 1000:g} µm = {height:.1f} m, planned {design:.1f} m"
     return row("7.4 a", requirement, text, limit, passed(abs(design - height) <= _AGREES * height))
 
 

@@ -25,6 +25,7 @@ from evaluator.documents.model import (
 )
 from evaluator.documents.phrases import STATUS, not_stated, time_in_words, translated
 from evaluator.model import CampaignData
+from evaluator.observe.panel_images import camera_lens, focal_length_mm
 from evaluator.report.style import style
 
 _KIND = {"multirotor": ("多旋翼", "multirotor"), "fixed_wing": ("固定翼", "fixed wing")}
@@ -233,18 +234,18 @@ def _technical(data: CampaignData, plan: FlightPlan, language: Language) -> list
         ),
     ]
     if data.camera is not None and plan.strips:
-        focal, pixel = data.camera.nominal_focal_length_mm, data.camera.pixel_size_um / 1000.0
+        focal, pixel = focal_length_mm(data.camera), data.camera.pixel_size_um / 1000.0
         height = flight_height(focal, plan.gsd_m, pixel)
         blocks += [
             Paragraph(
                 text=say(
                     language,
-                    "飞行高度由地面分辨率按公式（1）决定：",
-                    "Formula (1) gives the height from the ground resolution:",
+                    "飞行高度由地面分辨率按公式（1）决定，f 取镜头主距：",
+                    "Formula (1) gives the height from the ground resolution; f is the lens's principal distance:",
                 )
             ),
             Formula(
-                text=f"H = f × GSD / a = {focal:g} mm × {plan.gsd_m:g} m / {pixel:g} mm = {height:.1f} m",
+                text=f"H = f × GSD / a = {focal:.2f} mm × {plan.gsd_m:g} m / {pixel:g} mm = {height:.1f} m",
                 number=say(language, "（1）", "(1)"),
             ),
         ]
@@ -256,8 +257,8 @@ def _footprint_m(data: CampaignData, height_m: float) -> tuple[float, float] | N
     camera = data.camera
     if camera is None:
         return None
-    ground = camera.pixel_size_um / 1000.0 / camera.nominal_focal_length_mm * height_m
-    return camera.width_px * ground, camera.height_px * ground
+    lens = camera_lens(camera)
+    return camera.width_px * height_m / lens.fx_px, camera.height_px * height_m / lens.fy_px
 
 
 def _forward_overlap(data: CampaignData, strip: PlannedStrip) -> Cell:

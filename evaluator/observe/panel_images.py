@@ -32,6 +32,11 @@ def camera_lens(camera: CameraSheet) -> Lens:
     return Lens(fx_px=f, fy_px=f, cx_px=0.5 * camera.width_px, cy_px=0.5 * camera.height_px)
 
 
+def focal_length_mm(camera: CameraSheet) -> float:
+    """f of formula (1): the certificate's principal distance; without one the nominal focal length. [mm]"""
+    return camera_lens(camera).fx_px * camera.pixel_size_um / 1000.0
+
+
 def panel_region_px(
     panel: SurveyedTarget,
     camera: CameraSheet,

@@ -22,6 +22,7 @@ from evaluator.frames import WorldFrame
 from evaluator.georeference import nominal_mountings
 from evaluator.model import CampaignData, SortieData
 from evaluator.mounting_model import mounting_of
+from evaluator.observe.panel_images import camera_lens
 from evaluator.report.style import image_uri
 from evaluator.results import Evaluation
 
@@ -178,7 +179,7 @@ def _ground_sample_m(data: CampaignData, sortie: SortieData, exposure: Exposure)
     height = (
         float(np.interp(exposure.gps_time_s, t.gps_time_s, t.ellipsoid_height_m)) - data.manifest.ellipsoid_height_m
     )
-    return max(height, 1.0) * sheet.pixel_size_um / sheet.nominal_focal_length_mm / 1000.0
+    return max(height, 1.0) / camera_lens(sheet).fx_px
 
 
 def _pixels(sheet: CameraSheet, sortie: SortieData, exposure: Exposure) -> tuple[np.ndarray, bool]:

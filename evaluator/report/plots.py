@@ -17,6 +17,7 @@ from evaluator.conformity.model import ConformityInputs
 from evaluator.diagnosis import Deviation, family_limit
 from evaluator.frames import WorldFrame
 from evaluator.model import CampaignData, SortieData
+from evaluator.observe.panel_images import camera_lens
 from evaluator.report.style import GRADE_COLOURS, INK, figure, sortie_colour
 from evaluator.report.terms import parameter, short
 from evaluator.report.texts import Texts
@@ -46,8 +47,9 @@ def _fields_of_view(axes: Axes, data: CampaignData, t: Texts) -> None:
     height, heading = low.height_m, low.heading_deg
     axes.add_patch(Circle((0, 0), height, fill=False, ls=":", lw=1.2, color=_GREY, label=t("cone", h=height)))
     if data.camera is not None:
-        scale = data.camera.pixel_size_um / data.camera.nominal_focal_length_mm / 2000.0 * height
-        frame = _oriented(data.camera.width_px * scale, data.camera.height_px * scale, heading)
+        lens, sheet = camera_lens(data.camera), data.camera
+        half = 0.5 * height * sheet.width_px / lens.fx_px, 0.5 * height * sheet.height_px / lens.fy_px
+        frame = _oriented(*half, heading)
         axes.add_patch(
             Polygon(frame, closed=True, fill=True, fc="#f4b94222", ec="#b97d00", lw=1.4, label=t("camera_frame"))
         )

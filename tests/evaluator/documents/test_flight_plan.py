@@ -6,6 +6,7 @@ from itertools import product
 
 import pytest
 
+from evaluator.conformity import ConformityInputs, conformity_rows
 from evaluator.documents.docx import docx_bytes
 from evaluator.documents.flight_plan import build_flight_plan
 from evaluator.documents.map_sheet import degrees_minutes_seconds, sheet_at, sheet_of
@@ -127,6 +128,28 @@ def test_forward_overlap(campaign_data: CampaignData) -> None:
     assert isinstance(first, Figure)
     assert first.text == "67 %"
     assert table.rows[1][-1] == "–"
+
+
+def test_the_lens_of_formula_1(campaign_data: CampaignData) -> None:
+    """Rationale: `testrange plan` takes f from the lens's principal distance; a nominal focal length may be some percent off.
+    Expected: a certificate of 3160 px instead of 13.5 mm over 4.5 um makes f 14.22 mm, the height
+    for 15 mm 47.4 m, and the image from 45 m 3072 px x 45 m / 3160 px = 43.7 m wide; without a certificate 13.50 mm and 45.0 m;
+    conformity says the same. Tolerance: digits as printed."""
+    assert campaign_data.camera is not None
+    assert campaign_data.camera.calibration is not None
+    lens = campaign_data.camera.calibration.lens.model_copy(update={"fx_px": 3160.0, "fy_px": 3160.0})
+    certificate = campaign_data.camera.calibration.model_copy(update={"lens": lens})
+    for calibration, formula, image in (
+        (certificate, ("14.22 mm", "= 47.4 m"), f"{campaign_data.camera.width_px * 45.0 / 3160.0:.1f} m × "),
+        (None, ("13.50 mm", "= 45.0 m"), f"{campaign_data.camera.width_px * 0.015:.1f} m × "),
+    ):
+        camera = campaign_data.camera.model_copy(update={"calibration": calibration})
+        data = replace(campaign_data, camera=camera)
+        document = build_flight_plan(data, None, "en")
+        text = texts(document)
+        row = next(r for r in conformity_rows(data, ConformityInputs()) if "(1)" in r.requirement)
+        assert all(part in text and part in row.measured for part in formula)
+        assert image in text
 
 
 def test_without_a_plan(bare_data: CampaignData) -> None:
