@@ -17,6 +17,7 @@ from simulator.times import BEIJING, utc_from_gps_time
 ENVIRONMENT_STEP_S = 10.0
 LUX_METER_STD = 0.02  # relative, a class A meter after EN 13032-1
 STATIC_CHECK_S = 120.0
+_MATERIAL_NAMES = {"barium_sulfate": "barium sulfate", "ptfe": "PTFE", "water_based_paint": "water-based paint"}
 
 
 def surveyed_targets(config: Config, scene: Scene, frame: SiteFrame) -> list[SurveyedTarget]:
@@ -178,10 +179,10 @@ def flight_plan(config: Config, scene: Scene, sorties: tuple[Sortie, ...], frame
         static_check_std_m=round(float(np.linalg.norm(position_std)), 4),
         lock_lost=False,
         instruments={
-            "reference_panels": f"{config.targets.panels.material}; flatness better than 5 % by spectrometer",
+            "reference_panels": f"{_MATERIAL_NAMES[config.targets.panels.material]}; flatness better than 5 % by spectrometer",
             "geometric_targets": (
-                f"control survey {config.targets.survey.horizontal_std_m:g} m horizontal, "
-                f"{config.targets.survey.height_std_m:g} m height (one standard deviation)"
+                f"control survey {1000.0 * np.sqrt(2.0) * config.targets.survey.horizontal_std_m:.1f} mm horizontally, "
+                f"{1000.0 * config.targets.survey.height_std_m:.1f} mm in height (standard deviation of a point)"
             ),
             "field_spectrometer": "400-1700 nm, 5 nm",
             **_bench_instruments(config),

@@ -73,6 +73,7 @@ a clear sky passes 100 klx above about 58° of sun elevation => 太阳高度角�
 material of the reference panels => 标准反射靶标的材料
 water-based paint => 水基乙烷
 BaSO4 => 硫酸钡
+barium sulfate => 硫酸钡
 PTFE => 聚四氟乙烯
 ptfe => 聚四氟乙烯
 barium_sulfate => 硫酸钡
@@ -292,7 +293,8 @@ no target was seen by both sensors in one sortie => 没有靶标在同一架次�
 %1 is missing => 缺少 %1
 # statements of a simulated campaign
 %1; flatness better than 5 % by spectrometer => %1；光谱仪测定平坦性优于 5 %
-control survey %1 m horizontal, %2 m height (one standard deviation) => 控制测量平面 %1 m，高程 %2 m（一倍标准差）
+control survey %1 mm horizontally, %2 mm in height (standard deviation of a point) => 控制测量点位水平 %1 mm，高程 %2 mm（标准差）
+control survey %1 m horizontal, %2 m height (one standard deviation) => 控制测量水平每轴 %1 m，高程 %2 m（标准差）
 second class standard, certificate of the range's own lamp => 二级标准，检测场自有光源证书
 400-1700 nm, 5 nm => 400 nm～1700 nm，间隔 5 nm
 Try the whole chain on two heights and four headings => 以两个航高、四个航向试验全流程
