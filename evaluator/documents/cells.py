@@ -11,6 +11,10 @@ HEAD_LENGTH = 40  # characters of a title or an id that the running head has roo
 TITLE_LENGTH = 200
 TEXT_LENGTH = 20_000  # of one cell or paragraph; the longest of our own has some hundreds
 
+_LETTERS, _LETTERS_SMALL = 88, 111  # mean Latin letters in a line over the whole width of an upright page
+_SHORT_TABLE = 8  # rows
+_KEPT_LINES = 24.0  # of the widest letters: less than half a page
+
 _HIDDEN = {"Cc", "Cs", "Cn", "Co"}  # control, lone surrogate, unassigned, private use
 # Marks that turn the direction of what follows: a file name could read backwards.
 _DIRECTION = frozenset(chr(c) for c in (*range(0x202A, 0x202F), *range(0x2066, 0x206A), 0x200E, 0x200F, 0xFEFF))
@@ -140,3 +144,20 @@ def alignment(table: Table) -> list[str]:
     """left, center or right for each column."""
     word = {"l": "left", "c": "center", "r": "right"}
     return [word.get(table.align[j : j + 1], "left") for j in range(columns(table))]
+
+
+def kept_together(table: Table) -> list[tuple[int, int]]:
+    """Rows that no page break may part, as (first, number): the whole of a short table, else the last two of a long one.
+
+    So no table ends with one row alone on the next page. A row too long to be kept whole is kept with none.
+    """
+    rows, letters = len(table.rows), _LETTERS_SMALL if table.small else _LETTERS
+    lines, widths = [0.0] * rows, shares(table)
+    for cell in placed(table):
+        room = letters * sum(widths[cell.column : cell.column + cell.across])
+        lines[cell.row] = max(lines[cell.row], cell.text.count("\n") + max(1.0, 1.8 * len(cell.text) / room))
+    if rows < 2 or sum(lines[-2:]) > _KEPT_LINES:
+        return []
+    if rows <= _SHORT_TABLE and sum(lines) <= _KEPT_LINES:
+        return [(0, rows)]
+    return [(rows - 2, 2)]

@@ -19,7 +19,7 @@ from docx.shared import Mm, Pt, RGBColor
 from docx.text.paragraph import Paragraph as WordParagraph
 
 from campaign.atomic import complete_file
-from evaluator.documents.cells import TITLE_LENGTH, Placed, alignment, clean, one_line, placed, shares
+from evaluator.documents.cells import TITLE_LENGTH, Placed, alignment, clean, kept_together, one_line, placed, shares
 from evaluator.documents.docx_table import BODY, HEAD, RULE, cell_xml, row_xml, table_element
 from evaluator.documents.model import (
     Block,
@@ -303,6 +303,7 @@ def _table(word: WordDocument, document: Document, block: Table) -> None:
         lines.append(row_xml(cells, head_row=True))
     starts: dict[tuple[int, int], Placed] = {(c.row, c.column): c for c in placed(block)}
     covered: dict[int, tuple[int, int]] = {}  # column -> rows still joined, columns across
+    kept = {i for first, number in kept_together(block) for i in range(first, first + number - 1)}
     for i in range(len(block.rows)):
         cells = []
         j = 0
@@ -312,7 +313,9 @@ def _table(word: WordDocument, document: Document, block: Table) -> None:
             if cell is None:
                 across = across if left else 1
                 join = "continue" if left else ""
-                cells.append(cell_xml("", sum(widths[j : j + across]), size=size, across=across, join=join))
+                cells.append(
+                    cell_xml("", sum(widths[j : j + across]), size=size, across=across, join=join, keep=i in kept)
+                )
                 covered[j] = (max(left - 1, 0), across)
                 j += across
                 continue
@@ -328,6 +331,7 @@ def _table(word: WordDocument, document: Document, block: Table) -> None:
                     across=cell.across,
                     join="restart" if cell.down > 1 else "",
                     top=block.small and not label,
+                    keep=i in kept,
                 )
             )
             covered[j] = (cell.down - 1, cell.across)

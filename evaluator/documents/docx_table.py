@@ -49,8 +49,12 @@ def cell_xml(
     join: str = "",
     top: bool = False,
     rule_below: bool = False,
+    keep: bool = False,
 ) -> str:
-    """One w:tc with one paragraph, as XML; line ends become breaks. `text` is clean and is escaped here."""
+    """One w:tc with one paragraph, as XML; line ends become breaks. `text` is clean and is escaped here.
+
+    `keep`: on one page with the row below.
+    """
     form = [f'<w:tcW w:w="{_twips(width_mm)}" w:type="dxa"/>']
     if across > 1:
         form.append(f'<w:gridSpan w:val="{across}"/>')
@@ -62,7 +66,9 @@ def cell_xml(
     if shade:
         form.append(f'<w:shd w:val="clear" w:color="auto" w:fill="{_SHADE}"/>')
     form.append(f'<w:vAlign w:val="{"top" if top else "center"}"/>')
-    placing = '<w:spacing w:before="20" w:after="20" w:line="240" w:lineRule="auto"/>'
+    placing = (
+        "<w:keepNext/>" if keep else ""
+    ) + '<w:spacing w:before="20" w:after="20" w:line="240" w:lineRule="auto"/>'
     placing += "" if align == "left" else f'<w:jc w:val="{align}"/>'
     latin, chinese = faces
     look = f'<w:rFonts w:ascii="{latin}" w:hAnsi="{latin}" w:cs="{latin}" w:eastAsia="{chinese}"/>'

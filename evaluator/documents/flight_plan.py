@@ -275,30 +275,30 @@ def _limits(data: CampaignData, plan: FlightPlan, language: Language) -> Table:
     rows: list[tuple[str, str, str]] = [
         (
             "7.2 a",
-            say(language, "起降点障碍物高度角", "obstacles at the take-off point"),
+            say(language, "起降点障碍物高度角", "Obstacles at the take-off point"),
             f"{plan.obstacle_angle_deg:.0f}°（≤ 20°）",
         ),
         (
             "7.2 b",
-            say(language, "卫星数；起飞前静止定位", "satellites; position at rest before take-off"),
+            say(language, "卫星数；起飞前静止定位", "Satellites; position at rest before take-off"),
             say(language, f"≥ 10 颗；{plan.static_check_s:.0f} s", f"≥ 10; {plan.static_check_s:.0f} s"),
         ),
         (
             "7.2 c",
-            say(language, "太阳高度角", "elevation of the sun"),
+            say(language, "太阳高度角", "Elevation of the sun"),
             say(language, "> 35°，飞行期间变化 ≤ 20°", "> 35°, changing by ≤ 20° during the flight"),
         ),
-        ("7.2 d", say(language, "风力", "wind"), say(language, "≤ 5 级（≤ 10.7 m/s）", "≤ force 5 (≤ 10.7 m/s)")),
+        ("7.2 d", say(language, "风力", "Wind"), say(language, "≤ 5 级（≤ 10.7 m/s）", "≤ force 5 (≤ 10.7 m/s)")),
         (
             "7.3 a",
-            say(language, "最大飞行速度", "greatest ground speed"),
+            say(language, "最大飞行速度", "Greatest ground speed"),
             f"≤ {30 if fixed else 16} m/s（{_KIND[plan.aircraft_kind][language == 'en']}）",
         ),
-        ("7.3 c", say(language, "航线中加速度", "acceleration along strips"), "≤ 2.5 m/s²"),
-        ("7.4 a", say(language, "飞行升限", "ceiling"), "≤ 1000 m"),
+        ("7.3 c", say(language, "航线中加速度", "Acceleration along strips"), "≤ 2.5 m/s²"),
+        ("7.4 a", say(language, "飞行升限", "Ceiling"), "≤ 1000 m"),
         (
             "7.4 b",
-            say(language, "航高变化", "change of height"),
+            say(language, "航高变化", "Change of height"),
             say(
                 language,
                 "一条航线内 ≤ 5 %～10 %，与设计航高之差 ≤ 5 %",
@@ -307,10 +307,10 @@ def _limits(data: CampaignData, plan: FlightPlan, language: Language) -> Table:
         ),
         (
             "7.4 c",
-            say(language, "相邻航高之差；与设计航高之差", "height between neighbours; against design"),
+            say(language, "相邻航高之差；与设计航高之差", "Height between neighbours; against design"),
             "≤ 5 m",
         ),
-        ("6.2.1 b", say(language, "地形坡度", "slope of the terrain"), f"{plan.ground_slope_deg:.1f}°（< 10°）"),
+        ("6.2.1 b", say(language, "地形坡度", "Slope of the terrain"), f"{plan.ground_slope_deg:.1f}°（< 10°）"),
     ]
     heights = sorted({s.height_m for s in plan.strips})
     for height in heights[:6]:
@@ -319,7 +319,7 @@ def _limits(data: CampaignData, plan: FlightPlan, language: Language) -> Table:
             rows.append(
                 (
                     "7.1 g",
-                    say(language, f"影像覆盖，航高 {height:g} m", f"image on the ground from {height:g} m"),
+                    say(language, f"影像覆盖，航高 {height:g} m", f"Image on the ground from {height:g} m"),
                     f"{footprint[0]:.1f} m × {footprint[1]:.1f} m",
                 )
             )

@@ -67,7 +67,7 @@ def _empirical_line(results: Mapping[str, Any], language: Language) -> list[Bloc
         for k in order
     ]
     shown, more = cut(values, language, "results.json")
-    head = say(language, "影像|靶标|DN|R₂ %", "image|panel|DN|R₂ %").split("|")
+    head = say(language, "影像|靶标|DN|R₂ %", "Image|Panel|DN|R₂ %").split("|")
     offset = figure(results, f"{at}.offset_percent", 6, "%")
     return [
         Paragraph(

@@ -91,7 +91,7 @@ def _layout(data: CampaignData | None, kind: str, language: Language) -> list[Bl
         text = say(language, "控制测量资料中没有此类靶标。", "The survey holds no target of this kind.")
         return [Paragraph(text=text)]
     sketch = layout_sketch(data, kind, language)
-    last = say(language, "标称反射率 %", "nominal reflectance %") if kind == "panel" else say(language, "式样", "style")
+    last = say(language, "标称反射率 %", "Nominal reflectance %") if kind == "panel" else say(language, "式样", "Style")
     styles = {"inverted": say(language, "倒置", "inverted"), "upright": say(language, "正置", "upright")}
     rows: list[tuple[Cell, ...]] = [
         (
@@ -110,11 +110,11 @@ def _layout(data: CampaignData | None, kind: str, language: Language) -> list[Bl
     table = Table(
         caption=say(language, "表 1　靶标布设位置（控制测量）", "Table 1  Surveyed places of the targets"),
         head=[
-            say(language, "靶标", "target"),
-            say(language, "北坐标 m", "northing m"),
-            say(language, "东坐标 m", "easting m"),
-            say(language, "正常高 m", "normal height m"),
-            say(language, "边长 m", "edge m"),
+            say(language, "靶标", "Target"),
+            say(language, "北坐标 m", "Northing m"),
+            say(language, "东坐标 m", "Easting m"),
+            say(language, "正常高 m", "Normal height m"),
+            say(language, "边长 m", "Edge m"),
             last,
         ],
         rows=rows_shown,

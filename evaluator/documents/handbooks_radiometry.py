@@ -63,7 +63,7 @@ def _surfaces(results: Mapping[str, Any], found: Mapping[str, Any], language: La
             for i in range(len(a))
         ]
     shown, more = cut(values, language, "results.json")
-    head = say(language, "架次-航线|靶标|A|L m|f %", "sortie-strip|panel|A|L m|f %").split("|")
+    head = say(language, "架次-航线|靶标|A|L m|f %", "Sortie-strip|Panel|A|L m|f %").split("|")
     return [
         Paragraph(
             text=say(

@@ -19,6 +19,7 @@ from evaluator.documents.cells import (
     breakable,
     clean,
     columns,
+    kept_together,
     one_line,
     placed,
     shares,
@@ -168,6 +169,7 @@ def _table(table: Table, room_mm: float) -> dict[str, Any]:
         "align": alignment(table),
         "fields": table.fields,
         "small": table.small,
+        "keep": [{"y": first, "rows": number} for first, number in kept_together(table)],
         "cells": [
             {
                 "x": c.column,

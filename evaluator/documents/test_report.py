@@ -3,7 +3,9 @@
 Every figure is one of results.json. What the laboratory alone knows (number, client, names) is left open for a hand.
 """
 
+import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from evaluator.c10_1_grading import GROUPS, INDICATORS
@@ -21,6 +23,8 @@ from evaluator.documents.model import (
 from evaluator.documents.phrases import STATUS, day_in_words, translated
 from evaluator.documents.test_report_results import indicator_name, result_blocks
 from evaluator.results import Evaluation
+
+_OWN_TABLE = re.compile(r"(附表|Table) #")
 
 
 def build_test_report(evaluation: Evaluation, results: Mapping[str, Any], language: Language) -> Document:
@@ -55,15 +59,30 @@ def build_test_report(evaluation: Evaluation, results: Mapping[str, Any], langua
             (say(language, "检测日期", "Date of test"), day_in_words(date, language)),
             (say(language, "检测者", "Tested by"), ""),
         ),
-        blocks=[
-            *_purpose(evaluation, language),
-            *_items(results, language),
-            *_instruments(evaluation, language),
-            *result_blocks(results, language),
-            *_conformity(results, language),
-            *_attachments(results, language),
-        ],
+        blocks=_numbered(
+            [
+                *_purpose(evaluation, language),
+                *_items(results, language),
+                *_instruments(evaluation, language),
+                *result_blocks(results, language),
+                *_conformity(results, language),
+                *_attachments(results, language),
+            ]
+        ),
     )
+
+
+def _numbered(blocks: list[Block]) -> list[Block]:
+    """Tables of our own numbered as they come: some stand only where there is something to say."""
+    count = 0
+    out: list[Block] = []
+    for block in blocks:
+        found = _OWN_TABLE.match(block.caption) if isinstance(block, Table) else None
+        if isinstance(block, Table) and found:
+            count += 1
+            block = replace(block, caption=f"{found.group(1)} {count}{block.caption[found.end() :]}")
+        out.append(block)
+    return out
 
 
 def _product(evaluation: Evaluation, language: Language) -> str:
@@ -188,7 +207,7 @@ def _conformity(results: Mapping[str, Any], language: Language) -> list[Block]:
     blocks: list[Block] = [
         Heading(text=say(language, "5.3　检测条件的符合性", "5.3  Conformity of the test's conditions"), level=2),
         Table(
-            caption=say(language, "附表 5　各章要求的符合情况（条数）", "Table 5  Requirements by chapter, counted"),
+            caption=say(language, "附表 #　各章要求的符合情况（条数）", "Table #  Requirements by chapter, counted"),
             head=[say(language, "章", "Chapter"), *(STATUS[s][0 if language == "zh" else 1] for s in statuses)],
             rows=table,
             widths=(3.0, 1, 1, 1, 1, 1.2),
@@ -202,7 +221,7 @@ def _conformity(results: Mapping[str, Any], language: Language) -> list[Block]:
     return [
         *blocks,
         Table(
-            caption=say(language, "附表 6　不符合或需注意的条款", "Table 6  Requirements that fail or need attention"),
+            caption=say(language, "附表 #　不符合或需注意的条款", "Table #  Requirements that fail or need attention"),
             head=say(language, "条款|要求|实测|限值|结论", "Clause|Requirement|Measured|Limit|Status").split("|"),
             rows=[
                 (

@@ -161,7 +161,7 @@ def _not_measured(results: Mapping[str, Any], language: Language) -> list[Block]
         return []
     return [
         Table(
-            caption=say(language, "附表 2　未测项目及原因", "Table 2  Items not measured, and why"),
+            caption=say(language, "附表 #　未测项目及原因", "Table #  Items not measured, and why"),
             head=say(language, "检测项目|条款|原因", "Item|Clause|Reason").split("|"),
             rows=rows,
             widths=(2.2, 0.7, 5.0),
@@ -205,7 +205,7 @@ def _how_sure(results: Mapping[str, Any], language: Language) -> list[Block]:
     return [
         Heading(text=say(language, "5.2　不确定度", "5.2  Uncertainty"), level=2),
         Table(
-            caption=say(language, "附表 3　样本数与 95 % 区间", "Table 3  Sample sizes and 95 % intervals"),
+            caption=say(language, "附表 #　样本数与 95 % 区间", "Table #  Sample sizes and 95 % intervals"),
             head=say(
                 language,
                 "检测项目|符号、公式|样本数|95 % 下限|95 % 上限|计算方法",
@@ -216,7 +216,7 @@ def _how_sure(results: Mapping[str, Any], language: Language) -> list[Block]:
             align="lccrrl",
         ),
         Table(
-            caption=say(language, "附表 4　对照数值", "Table 4  Figures beside the standard's own"),
+            caption=say(language, "附表 #　对照数值", "Table #  Figures beside the standard's own"),
             head=say(language, "检测项目|检测结果|对照|数值", "Item|Result|Beside it|Value").split("|"),
             rows=beside,
             widths=(2.2, 1.5, 3.0, 1.5),

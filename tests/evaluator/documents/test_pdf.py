@@ -206,3 +206,34 @@ def test_numbers_are_never_broken_apart() -> None:
     cut = breakable("bench/sphere_stability/log.csv", 10)
     assert cut.replace("\u200b", "") == "bench/sphere_stability/log.csv"
     assert max(len(part) for part in cut.split("\u200b")) <= 10
+
+
+@pytest.mark.parametrize("small", [False, True])
+def test_no_row_alone_on_the_next_page(small: bool) -> None:
+    """Rationale: a long table's last row alone under a repeated head reads as a table of its own. Expected: whatever the number of
+    rows, a page that shows rows shows two or more; a table of eight rows is never parted. Tolerance: none."""
+    first = 60 if small else 40
+    for count in (2, 8, *range(first, first + 12)):
+        rows = [(f"row{k:03d}", Figure(value=k)) for k in range(count)]
+        text = Paragraph(text="words " * (60 if count > 8 else 900))
+        document = Document(
+            name="t", title="T", language="en", campaign_id="c", date="2026-06-01", synthetic=False,
+            blocks=[text, Table(rows=rows, head=("Name", "Value"), caption="Table 1", small=small)],
+        )  # fmt: skip
+        shown = [len(re.findall(r"row\d{3}", page)) for page in pages_text(pdf_bytes(document))]
+        assert sum(shown) == count
+        assert 1 not in shown
+        assert count > 8 or max(shown) == count
+
+
+def test_subscripts_of_formula_22() -> None:
+    """Rationale: X_L is printed with an index, as in the standard. Expected: no underscore is left of any symbol of (22)."""
+    document = Document(
+        name="t", title="T", language="en", campaign_id="c", date="2026-06-01", synthetic=False,
+        blocks=[Formula(text="[X Y Z]ᵀ = R_LC [X_L Y_L Z_L]ᵀ + t", number="(22)"),
+                Paragraph(text="p_C = R_CB R_BW(t_e) R_WB(t_s) R_BL p_L")],
+    )  # fmt: skip
+    text = "".join(pages_text(pdf_bytes(document)))
+    assert "_" not in text
+    assert "[XLYLZL]" in text
+    assert "pC=RCBRBW(te)RWB(ts)RBLpL" in text

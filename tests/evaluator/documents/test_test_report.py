@@ -13,6 +13,7 @@ import pytest
 
 from evaluator.c10_1_grading import GRADE_ZH, INDICATORS
 from evaluator.documents.docx import docx_bytes
+from evaluator.documents.instruments import instrument_table
 from evaluator.documents.model import LANGUAGES, Document, Figure, Language, Table, say
 from evaluator.documents.pdf import pdf_bytes
 from evaluator.documents.phrases import day_in_words, time_in_words, translated
@@ -149,6 +150,42 @@ def test_only_a_chessboard(bare_data: CampaignData) -> None:
     assert "仿真" not in text
 
 
+def test_tables_are_numbered_as_they_come(evaluation: Evaluation) -> None:
+    """Rationale: "items not measured" is left out where all are measured. Expected: own tables count 1, 2, 3 without a gap,
+    whether it stands (5 or 6 tables) or not (one less), in both languages."""
+    everything = {
+        i: IndicatorValue(value=0.25, unit=row.unit, formula=row.formula, clause=row.clause, sample_size=20, std=0.01)
+        for i, row in INDICATORS.items()
+    }
+    for case in (evaluation, replace(evaluation, indicators=everything), replace(evaluation, indicators={})):
+        for language in LANGUAGES:
+            document = build_test_report(case, build_results(case), language)
+            captions = [
+                b.caption for b in document.blocks if isinstance(b, Table) and not re.search(r"C\.\d", b.caption)
+            ]
+            numbers = [int(m.group(1)) for c in captions if (m := re.match(r"(?:附表|Table) (\d+)\s", c))]
+            assert numbers == list(range(1, len([c for c in captions if c]) + 1))
+            assert any("未测项目" in c or "not measured" in c for c in captions) == (case.indicators != everything)
+            assert numbers[-1] >= 4
+
+
+def test_instruments_like_with_like(evaluation: Evaluation) -> None:
+    """Rationale: 5.3 asks 1 cm of a point horizontally; two axes of 3 mm are 4.2 mm of a point, and the standard's material has a
+    name. Expected: what a simulated campaign states, in both languages, with PTFE, 聚四氟乙烯."""
+    assert evaluation.data is not None
+    assert evaluation.data.plan is not None
+    stated = {
+        "reference_panels": "ptfe; flatness better than 5 % by spectrometer",
+        "geometric_targets": "control survey 4.2 mm horizontally, 4.0 mm in height (standard deviation of a point)",
+    }
+    data = replace(evaluation.data, plan=evaluation.data.plan.model_copy(update={"instruments": stated}))
+    english, chinese = (instrument_table(replace(evaluation, data=data), language) for language in ("en", "zh"))
+    assert english.rows[1][2] == "PTFE; flatness better than 5 % by spectrometer"
+    assert english.rows[2][2] == stated["geometric_targets"]
+    assert chinese.rows[1][2] == "聚四氟乙烯；光谱仪测定平坦性优于 5 %"
+    assert chinese.rows[2][2] == "控制测量点位水平 4.2 mm，高程 4.0 mm（标准差）"
+
+
 def test_failures_and_warnings_are_listed(evaluation: Evaluation) -> None:
     """Rationale: who reads the report must see what did not conform. Expected: counts by chapter add up to the conformity rows of
     results.json, and each failed or warned row stands in the report with its clause."""
@@ -184,7 +221,7 @@ def test_phrases() -> None:
     """Rationale: conformity rows are written in English; a Chinese report shows them in Chinese. Expected: whole phrases, phrases
     with numbers, parts between semicolons, phrases within phrases; English and unknown text as it was."""
     assert translated("least 5 (R01), 6 panels", "zh") == "最少 5 次（R01），6 个靶标"
-    assert translated("no wind in environment.csv", "zh") == "environment.csv 中无 风速"
+    assert translated("no wind in environment.csv", "zh") == "environment.csv 中无风速"
     assert translated("sortie 1: 44 of 44 (a.tif); sortie 2: 43 of 44 (b.tif)", "zh") == (
         "第 1 架次：44/44（a.tif）；第 2 架次：43/44（b.tif）"
     )
