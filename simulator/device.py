@@ -150,7 +150,8 @@ def _fit_peak(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _find(
-    wave: np.ndarray,
+    waves: np.ndarray,
+    row: int,
     setting: np.ndarray,
     logs: np.ndarray,
     full_scale: int,
@@ -166,10 +167,11 @@ def _find(
     space (3, r + 1): each maximum, the last sample of its plateau, the lowest sample before it. Returns how many echoes.
     """
     baseline, noise_variance, shot_variance, threshold_sigma, echo_sigma = setting
-    samples, most = len(wave), len(position)
+    wave = waves[row]
+    samples, most = len(wave), position.shape[1]
     floor = math.sqrt(noise_variance)
     threshold = threshold_sigma * floor
-    high = baseline + threshold
+    high = math.ceil(baseline + threshold)
     start, stop = 0, samples - 1
     while start < samples and wave[start] < high:
         start += 1
@@ -230,9 +232,9 @@ def _find(
         middle = 0.5 * (top[0, j] + top[1, j])
         if width == 0.0 or abs(mean - middle) > 1.5 + 0.5 * (top[1, j] - top[0, j]):
             mean, height, width = middle, wave[top[0, j]] - baseline, echo_sigma
-        position[j] = mean
-        amplitude[j] = height
-        sigma[j] = width
+        position[row, j] = mean
+        amplitude[row, j] = height
+        sigma[row, j] = width
     return kept
 
 
@@ -250,7 +252,9 @@ def _detect(
 ) -> None:
     top = np.empty((3, position.shape[1] + 1), np.int64)
     for i in range(len(waves)):
-        count[i] = _find(waves[i], setting, logs, full_scale, half_window, top, position[i], amplitude[i], sigma[i])
+        count[i] = _find(waves, i, setting, logs, full_scale, half_window, top, position, amplitude, sigma)
+        for k in range(count[i], position.shape[1]):
+            position[i, k] = amplitude[i, k] = sigma[i, k] = np.nan
 
 
 class Device:
@@ -299,9 +303,9 @@ class Device:
         shape = (len(waves), self._most)
         found = DetectedEchoes(
             count=np.zeros(len(waves), np.uint8),
-            position=np.full(shape, np.nan),
-            amplitude_dn=np.full(shape, np.nan, np.float32),
-            sigma=np.full(shape, np.nan, np.float32),
+            position=np.empty(shape),
+            amplitude_dn=np.empty(shape, np.float32),
+            sigma=np.empty(shape, np.float32),
         )
         _detect(waves, self._setting, *self._fit, found.count, found.position, found.amplitude_dn, found.sigma)
         return found

@@ -1,8 +1,9 @@
 """What a beam's footprint sees of the triangles that its cone touches: a few echoes of known range, power and spread.
 
 A cone inside one triangle, with nothing before it, sees a smooth surface: its echo is the closed form of a Gaussian beam on a
-tilted plane. Every other cone is filled with the full pattern of sub-rays, and the sub-rays on one triangle become one echo,
-which has the sum of their powers and the mean and variance of their ranges.
+tilted plane. Every other cone is filled with sub-rays, few where the triangles are one creased surface of one material, the full
+pattern where they are not; the sub-rays on one triangle become one echo, which has the sum of their powers and the mean and
+variance of their ranges.
 """
 
 import math
@@ -13,6 +14,7 @@ import numpy as np
 CURVED = 0.02  # reach times tangent of incidence from which the closed form's next terms would show
 MERGE = 0.06  # echoes closer than this part of the pulse's length are one
 SLICE = 0.8  # a surface's echo is cut where it spreads over more than this part of the pulse's length
+BENT = 0.1  # largest difference of cosines across a crease that few sub-rays resolve
 APART_M = 0.05  # hits are kept one by one where a footprint's surfaces lie further apart than this
 
 
@@ -170,6 +172,24 @@ def _add(echo: np.ndarray, begin: int, count: int, peak: float, range_m: float, 
     return count + 1
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _bent(corner: np.ndarray, rho: np.ndarray, touching: np.ndarray, origin: np.ndarray, axis: np.ndarray) -> bool:
+    """Whether all triangles that the cone touches are one surface of one material, creased but not broken.
+
+    Then what the few sub-rays do not resolve changes the amplitude by their share of the energy times the cosines' difference.
+    """
+    low_m, high_m, low, high = np.inf, -np.inf, np.inf, -np.inf
+    for j in range(len(touching)):
+        nx, ny, nz, height = _plane(corner, touching[j], origin[0], origin[1], origin[2])
+        cosine = nx * axis[0] + ny * axis[1] + nz * axis[2]
+        range_m = height / cosine
+        low_m, high_m = min(low_m, range_m), max(high_m, range_m)
+        low, high = min(low, abs(cosine)), max(high, abs(cosine))
+        if not range_m > 0.0 or rho[touching[j]] != rho[touching[0]]:
+            return False
+    return high_m - low_m < APART_M and low > 0.2 and high - low < BENT
+
+
 @numba.njit(cache=True, nogil=True)
 def _longer(echo: np.ndarray, used: int) -> np.ndarray:
     out = np.empty((2 * len(echo), 3))
@@ -187,9 +207,8 @@ def see(
     touch_whole: np.ndarray,
     corner: np.ndarray,
     rho: np.ndarray,
-    u: np.ndarray,
-    v: np.ndarray,
-    weight: np.ndarray,
+    few: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    full: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     reach: float,
     spread: float,
     scale: float,
@@ -208,8 +227,9 @@ def see(
         Vertices in the tree's order. [m]
     rho : (t,) ndarray
         pi times the BRDF towards the source, in the tree's order.
-    u, v, weight : (s,) ndarray, float32
-        The full pattern of sub-rays: slopes across the beam, the axis first, and shares of the energy.
+    few, full : (s,) ndarrays, float32
+        Two patterns of sub-rays: slopes u and v across the beam, the axis first; length of the sub-ray's direction; share of the
+        energy over its cube.
     reach, spread : float
         Of the outermost sub-ray; standard deviation of the beam about one axis, a quarter of its divergence. [rad]
     scale, extinction : float
@@ -232,22 +252,17 @@ def see(
     hit_m, hit_row : (k, s) float32, int32
         Range and triangle of each of its sub-rays; -1 where nothing is hit.
     """
-    n, subrays = len(origin), len(u)
-    length, share = np.empty(subrays, np.float32), np.empty(subrays, np.float32)
-    for s in range(subrays):
-        long = math.sqrt(1.0 + float(u[s]) ** 2 + float(v[s]) ** 2)
-        length[s] = long
-        share[s] = weight[s] / long**3
+    n, most = len(origin), len(full[0])
     first, count = np.zeros(n, np.int64), np.zeros(n, np.int32)
     echo = np.empty((2 * n + 64, 3))
     echoes = 0
     extent_m = np.full((n, 3), np.nan)
     axis_row, slot = np.full(n, -1, np.int64), np.full(n, -1, np.int32)
-    hit_m, hit_row = np.empty((16, subrays), np.float32), np.empty((16, subrays), np.int32)
+    hit_m, hit_row = np.empty((16, most), np.float32), np.empty((16, most), np.int32)
     slots = 0
     kappa = np.empty(64)
-    nearest, who = np.empty(subrays, np.float32), np.empty(subrays, np.int32)
-    sub_m, power = np.empty(subrays, np.float32), np.empty(subrays, np.float32)
+    work = np.empty((3, most), np.float32)
+    place = np.empty(most, np.int32)
     for i in range(n):
         touched = touch_count[i]
         if touched == 0:
@@ -285,7 +300,12 @@ def see(
             extent_m[i, 2] = range_m * (1.0 + reach * tangent)
             axis_row[i] = cover
             continue
-        # ---- mixed: the full pattern of sub-rays ----
+        # ---- mixed: sub-rays, few of them on one bent surface ----
+        u, v, length, share = full
+        if _bent(corner, rho, touching, origin[i], direction[i]):
+            u, v, length, share = few
+        subrays = len(u)
+        nearest, sub_m, power, who = work[0, :subrays], work[1, :subrays], work[2, :subrays], place[:subrays]
         if touched > len(kappa):
             kappa = np.empty(2 * touched)
         _fill(corner, touching, touched, origin[i], direction[i], u, v, kappa, nearest, who)
@@ -324,9 +344,10 @@ def see(
         echoes += rows
         if far_m - near_m > APART_M:
             if slots == len(hit_m):
-                more_m, more_row = np.empty((2 * slots, subrays), np.float32), np.empty((2 * slots, subrays), np.int32)
+                more_m, more_row = np.empty((2 * slots, most), np.float32), np.empty((2 * slots, most), np.int32)
                 more_m[:slots], more_row[:slots] = hit_m, hit_row
                 hit_m, hit_row = more_m, more_row
+            hit_row[slots, subrays:] = -1
             for s in range(subrays):
                 hit_row[slots, s] = touching[who[s]] if who[s] >= 0 else -1
                 hit_m[slots, s] = sub_m[s]

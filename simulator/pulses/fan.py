@@ -211,9 +211,11 @@ def _compare(
     gx: np.float32,
     gy: np.float32,
     gz: np.float32,
+    limit: np.float32,
     least: np.ndarray,
+    near: np.ndarray,
 ) -> None:
-    """Of a block's triangles the smallest angle from an edge to the beam, positive inside."""
+    """Of a block's triangles the smallest angle from an edge to the beam, positive inside, and whether that is in the cone."""
     for k in range(WIDE):
         a = lanes[k] * dx + lanes[k + WIDE] * dy + lanes[k + 2 * WIDE] * dz
         a -= lanes[k + 3 * WIDE] * gx + lanes[k + 4 * WIDE] * gy + lanes[k + 5 * WIDE] * gz
@@ -224,6 +226,7 @@ def _compare(
         a = a if a < b else b
         a = a if a < c else c
         least[k] = a
+        near[k] = 1 if a > -limit else 0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -269,7 +272,8 @@ def touch(
     plane, way, slope = np.empty(20, np.float32), np.empty(7, np.float32), np.empty(GROUP)
     stack, number = np.empty(2 * WIDE * (len(level) + 1), np.int64), np.empty(8, np.int64)
     lanes, span = np.empty(WIDE * LANES * len(number), np.float32), np.empty((len(number), 2))
-    least = np.empty(WIDE, np.float32)
+    least, near = np.empty(WIDE, np.float32), np.empty(WIDE, np.uint8)
+    words = near.view(np.uint64)  # eight of them at a glance
     for begin in range(min(stride, n)):
         start = begin
         while start < n:
@@ -311,15 +315,19 @@ def touch(
                     if span[tile, 0] > right or span[tile, 1] < left:
                         continue
                     mine = lanes[tile * (LANES * WIDE) : (tile + 1) * (LANES * WIDE)]
-                    _compare(mine, fx, fy, fz, gx, gy, gz, least)
+                    _compare(mine, fx, fy, fz, gx, gy, gz, limit, least, near)
                     if rows + WIDE > len(row):
                         more, more_whole = np.empty(2 * len(row), np.int64), np.empty(2 * len(row), np.bool_)
                         more[:rows], more_whole[:rows] = row[:rows], whole[:rows]
                         row, whole = more, more_whole
-                    for j in range(min(WIDE, triangles - number[tile] * WIDE)):
-                        row[rows] = number[tile] * WIDE + j
-                        whole[rows] = least[j] >= limit
-                        rows += 1 if least[j] > -limit else 0
+                    for word in range(WIDE // 8):
+                        if words[word] == 0:
+                            continue
+                        for j in range(8 * word, min(8 * word + 8, triangles - number[tile] * WIDE)):
+                            if near[j] > 0:
+                                row[rows] = number[tile] * WIDE + j
+                                whole[rows] = least[j] >= limit
+                                rows += 1
                 count[i] = rows - first[i]
             start += members * stride
     return first, count, row, whole

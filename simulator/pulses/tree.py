@@ -4,6 +4,7 @@ Triangles are put in an order in which 32 in a row are neighbours; 32 blocks sha
 tree has no pointers, and a test of 32 boxes or triangles is a handful of vector instructions.
 """
 
+import weakref
 from dataclasses import dataclass
 
 import numba
@@ -21,6 +22,19 @@ class Tree:
     block: np.ndarray  # (b, 9, 32) float32: the same vertices by blocks; past the last triangle, the first one again
     box: np.ndarray  # (m, 6, 32) float32: centre and half size of 32 nodes; a missing node's half size is negative [m]
     level: np.ndarray  # (l,) int64: where each level begins in `box`, the leaves' own first; the last level is one row
+
+
+_last: list[tuple["weakref.ref[np.ndarray]", "weakref.ref[np.ndarray]", Tree]] = []  # one scene serves every strip
+
+
+def tree_of(vertices_m: np.ndarray, faces: np.ndarray) -> Tree:
+    """`build_tree`, kept for as long as the same two arrays are asked for again."""
+    for known_vertices, known_faces, tree in _last:
+        if known_vertices() is vertices_m and known_faces() is faces:
+            return tree
+    tree = build_tree(vertices_m, faces)
+    _last[:] = [(weakref.ref(vertices_m), weakref.ref(faces), tree)]
+    return tree
 
 
 def build_tree(vertices_m: np.ndarray, faces: np.ndarray) -> Tree:
