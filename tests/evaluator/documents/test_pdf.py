@@ -212,13 +212,16 @@ def test_numbers_are_never_broken_apart() -> None:
 def test_no_row_alone_on_the_next_page(small: bool) -> None:
     """Rationale: a long table's last row alone under a repeated head reads as a table of its own. Expected: whatever the number of
     rows, a page that shows rows shows two or more; a table of eight rows is never parted. Tolerance: none."""
-    first = 60 if small else 40
-    for count in (2, 8, *range(first, first + 12)):
+    first = 44 if small else 28
+    for count, before in [
+        *((n, 1) for n in range(first, first + 16)),
+        *((n, b) for n in (2, 8) for b in range(22, 34, 2)),
+    ]:
         rows = [(f"row{k:03d}", Figure(value=k)) for k in range(count)]
-        text = Paragraph(text="words " * (60 if count > 8 else 900))
+        table = Table(rows=rows, head=("Name", "Value"), caption="Table 1", small=small)
         document = Document(
             name="t", title="T", language="en", campaign_id="c", date="2026-06-01", synthetic=False,
-            blocks=[text, Table(rows=rows, head=("Name", "Value"), caption="Table 1", small=small)],
+            blocks=[*(Paragraph(text="words"),) * before, table],
         )  # fmt: skip
         shown = [len(re.findall(r"row\d{3}", page)) for page in pages_text(pdf_bytes(document))]
         assert sum(shown) == count
