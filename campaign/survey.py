@@ -1,6 +1,7 @@
 """What the surveyors delivered: survey/targets.csv (+ .prj), gcp_list.txt, spectra.csv."""
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +89,7 @@ _NEEDED = {
 }
 
 
+@cache
 def crs_wkt(projection_epsg: int, height_epsg: int | None, version: str) -> str:
     """WKT of the projected, or the compound, coordinate system.
 
