@@ -1,7 +1,9 @@
 """Factors to rows: which value every factor has in every row of a design. SALib draws the samples; the order is the table's."""
 
 import itertools
+import json
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,11 +24,16 @@ def design_rows(study: Study) -> list[Row]:
     if study.design in SAMPLED:
         return _sampled(study)
     levels = [_levels(factor) for factor in study.factor]
+    names = [[_key(level) for level in found] for found in levels]
     if study.design == "list":
         if len({len(found) for found in levels}) > 1:
             told = ", ".join(f"{f.name} {len(found)}" for f, found in zip(study.factor, levels))
             raise ConfigError("design = list takes the same number of values of each factor", got=told)
+        _refuse_many(len(levels[0]) * study.replicates)
+        _refuse_twice(list(zip(*names)), "rows")
         return list(zip(*levels))
+    for factor, given in zip(study.factor, names):
+        _refuse_twice(given, f"values of factor {factor.name}")
     _refuse_many(math.prod(len(found) for found in levels) * study.replicates)
     return list(itertools.product(*levels))
 
@@ -73,6 +80,18 @@ def _sampled(study: Study) -> list[Row]:
 def _value(factor: Factor, drawn: float) -> Value:
     value = 10.0**drawn if factor.log else drawn
     return round(value) if factor.whole else float(f"{value:.12g}")
+
+
+def _key(level: Value | Level) -> Value:
+    """What tells a level from others in the table."""
+    if isinstance(level, Level):
+        return level.name
+    return json.dumps(level) if isinstance(level, list) else level
+
+
+def _refuse_twice(found: Sequence[object], what: str) -> None:
+    if len(set(found)) < len(found):
+        raise ConfigError(f"two {what} are the same", remedy="replicates = 2 repeats a point with other noise")
 
 
 def _refuse_many(points: int) -> None:

@@ -9,6 +9,7 @@ Morris: Technometrics 33 (1991) 161-174, mu* after Campolongo et al., Environ. M
 """
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -223,15 +224,20 @@ def _additive(
         return None
     inverse = np.linalg.pinv(matrix.T @ matrix)
     t = float(stats.t.ppf(0.975, freedom))
+    rounding = len(values) * (1e-12 * float(np.abs(values).max())) ** 2  # sum of squares that is none
     out = []
     for factor, place, found in zip(study.factor, places, levels):
         others = np.delete(matrix, place, axis=1)
         more = float(np.sum((values - others @ np.linalg.lstsq(others, values, rcond=None)[0]) ** 2) - left @ left)
         count = rank - int(np.linalg.matrix_rank(others))
-        p = 1.0 if count == 0 else float(stats.f.sf(more / count / variance, count, freedom)) if variance > 0.0 else 0.0
+        if count == 0 or more <= rounding:
+            p = 1.0
+        else:
+            p = float(stats.f.sf(more / count / variance, count, freedom)) if variance > 0.0 else 0.0
+        points = Counter(row[factor.name] for row in have)
         contrasts = _contrasts(matrix, place, len(found))
         means = contrasts @ solution
-        half = t * np.sqrt(np.maximum(variance * np.einsum("ij,jk,ik->i", contrasts, inverse, contrasts), 0.0))
+        half = t * np.sqrt(np.maximum(variance * np.sum((contrasts @ inverse) * contrasts, axis=1), 0.0))
         if found:
             most, least = int(np.argmax(means)), int(np.argmin(means))
             sign = 1.0 if most > least else -1.0  # rising or falling in the order of the levels
@@ -255,7 +261,7 @@ def _additive(
                         mean=float(means[k]),
                         low_95=float(means[k] - half[k]),
                         high_95=float(means[k] + half[k]),
-                        points=sum(row[factor.name] == level for row in have),
+                        points=points[level],
                     )
                     for k, level in enumerate(found)
                 ),

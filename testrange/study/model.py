@@ -76,6 +76,11 @@ class Factor(Model):
             raise ValueError("moves multiplies the value: expected numbers")
         if self.range is not None and not self.range[0] < self.range[1]:
             raise ValueError("range: expected least before greatest")
+        if len({level.name for level in self.level}) < len(self.level):
+            raise ValueError("two levels have the same name")
+        places = [level.value for level in self.level if level.value is not None]
+        if len(set(places)) < len(places):
+            raise ValueError("two levels have the same value: the table could not tell them apart")
         if self.log and self.range is not None and self.range[0] <= 0.0:
             raise ValueError("log needs a range above 0")
         if self.name in RESERVED:

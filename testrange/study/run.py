@@ -4,7 +4,8 @@ import contextlib
 import json
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,6 +94,8 @@ def run_study(
     ------
     ConfigError
         The study, its base or a response is wrong. Nothing has been run then.
+    StudyError
+        `out` holds something else, or another call is at work in it.
     """
     part = None if shard is None else parse_shard(shard)
     if workers is not None and workers < 1:
@@ -106,15 +109,17 @@ def run_study(
     plan = make_plan(study, file)
     target = out or Path("out") / "studies" / file.stem
     mine = plan.points if part is None else plan.shard(*part)
-    ran = _run(plan, mine, file, target, progress, _places(workers, scheduler), retry_failed)
-    rows = tuple(point_rows(plan, store.read_points(target, (p.id for p in plan.points))))
     effects: tuple[Effects, ...] = ()
     page = None
-    if part is None:
-        effects, page = _write(plan, file, target, rows, progress)
     cache = target / "cache"
-    if drop_cache:
-        shutil.rmtree(cache, ignore_errors=True)
+    with store.claimed(target, part):
+        ran = _run(plan, mine, file, target, progress, _places(workers, scheduler), retry_failed)
+        outcomes = store.read_points(target, (p.id for p in plan.points))
+        rows = tuple(point_rows(plan, outcomes))
+        if part is None:
+            effects, page = _write(plan, file, target, rows, _units(study, outcomes.values()), progress)
+        if drop_cache:
+            shutil.rmtree(cache, ignore_errors=True)
     size = sum(p.stat().st_size for p in cache.glob("*.npy")) / 1e6 if cache.is_dir() else 0.0
     return Done(study=study, plan=plan, out=target, rows=rows, effects=effects, ran=ran, cache_mb=size, page=page)
 
@@ -140,19 +145,19 @@ def _run(
 ) -> int:
     """Runs what is not finished; the number of points that were run."""
     known = store.read_points(out, (p.id for p in points))
+    unlike = {p.id: p for p in points}.values()  # rounded samples may meet the same point twice
     todo = [
-        p for p in points if p.id not in known or (retry_failed and known[p.id]["status"] == "failed" and not p.reason)
+        p for p in unlike if p.id not in known or (retry_failed and known[p.id]["status"] == "failed" and not p.reason)
     ]
-    out.mkdir(parents=True, exist_ok=True)
     for point in todo:
         if point.reason is not None:
             store.write_point(out, not_run(point.id, point.reason))
     todo = [p for p in todo if p.reason is None]
     if not todo:
         return 0
-    shared = {g for g in plan.groups if sum(p.group == g for p in plan.points) > 1}
+    members = Counter(p.group for p in plan.points)
     tasks = [
-        (p.group, task(plan, p, out=out, file=file, cache=p.group in shared and p.config is not None)) for p in todo
+        (p.group, task(plan, p, out=out, file=file, cache=members[p.group] > 1 and p.config is not None)) for p in todo
     ]
     done = len(points) - len(todo)
     progress("points", done, len(points))
@@ -175,7 +180,7 @@ def _run(
 
 
 def _write(
-    plan: Plan, file: Path, out: Path, rows: Sequence[dict[str, Any]], progress: Report
+    plan: Plan, file: Path, out: Path, rows: Sequence[dict[str, Any]], units: Mapping[str, str], progress: Report
 ) -> tuple[tuple[Effects, ...], Path]:
     """table.parquet, analysis.json, study.toml, figures and page."""
     from testrange.study.report.page import write_page
@@ -187,7 +192,6 @@ def _write(
     with complete_file(out / "study.toml") as work:
         work.write_text(text, encoding="utf-8")
     write_table(out / "table.parquet", plan, rows, {"study": text, "base": base, "set": json.dumps(study.set)})
-    units = _units(plan, out)
     effects = analyse(plan, rows, units)
     with complete_file(out / "analysis.json") as work:
         body = json.dumps(plain([e.block() for e in effects]), ensure_ascii=False, indent=1)
@@ -198,14 +202,11 @@ def _write(
     return effects, page
 
 
-def _units(plan: Plan, out: Path) -> dict[str, str]:
+def _units(study: Study, outcomes: Iterable[Mapping[str, Any]]) -> dict[str, str]:
     """Unit of every response, by its column, from the first point that has one."""
     units: dict[str, str] = {RUN_TIME: "s"}
-    for point in plan.points:
-        found = store.read_point(out, point.id) or {"values": {}}
+    for found in outcomes:
         for name, value in found["values"].items():
             if isinstance(value.get("unit"), str):
                 units.setdefault(column(name), value["unit"])
-        if len(units) >= len(plan.study.responses) - 1:
-            break
-    return units
+    return {name: units[name] for name in map(column, study.responses) if name in units}

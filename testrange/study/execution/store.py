@@ -1,14 +1,56 @@
 """points/ID.json: one small file for each finished point, done or failed, written complete or not at all."""
 
+import contextlib
 import json
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from campaign.atomic import complete_file
+from campaign.atomic import complete_file, readable_os_errors
+from evaluator.c10_1_grading import GRADE_ZH
+from testrange.study.model import StudyError
+
+try:
+    import fcntl
+except ImportError:  # not on every system; there two studies in one folder are the user's affair
+    fcntl = None  # type: ignore[assignment]
 
 MAX_BYTES = 1_000_000
+_LOCK = ".lock"
+_OURS = frozenset({_LOCK, "cache", "work", "runs", "figures", "study.toml"})  # before the first point is finished
+_GRADES = (None, *GRADE_ZH)
 _KEYS = {"id": str, "status": str, "values": dict, "run_time_s": float, "versions": dict}
+
+
+@contextlib.contextmanager
+def claimed(out: Path, shard: tuple[int, int] | None) -> Iterator[None]:
+    """The folder is made, or is a study's, and nobody else is at work on the same points until the block ends.
+
+    Raises
+    ------
+    StudyError
+        It holds something else, or another study, or the same shard of it, is running in it.
+    """
+    if out.is_dir() and not (out / "points").is_dir():
+        strange = sorted({p.name for p in out.iterdir()} - _OURS)
+        if strange:
+            raise StudyError("is not empty and no study", where=str(out), got=strange[0], remedy="choose another place")
+    with readable_os_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+        lock = (out / _LOCK).open("ab")
+    with lock:
+        if fcntl is not None:
+            number, of = shard or (0, 0)  # a shard locks a byte of its own, a whole study all of them
+            try:
+                fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB, min(of, 1), of * (of - 1) // 2 + number)
+            except (BlockingIOError, PermissionError):
+                raise StudyError(
+                    "another testrange is at work on it", where=str(out), remedy="wait for it, or choose another place"
+                ) from None
+            except OSError:  # a disk without locks
+                pass
+        yield
 
 
 def place_of(out: Path, point_id: str) -> Path:
@@ -36,6 +78,8 @@ def read_point(out: Path, point_id: str) -> dict[str, Any] | None:
         return None
     if any(not isinstance(found.get(key), kind) for key, kind in _KEYS.items()):
         return None
+    if not (math.isfinite(found["run_time_s"]) and found["run_time_s"] >= 0.0):
+        return None
     if not all(_sound(v) for v in found["values"].values()) or not isinstance(found.get("reason"), str | None):
         return None
     return found
@@ -51,8 +95,8 @@ def _sound(value: object) -> bool:
     """One response."""
     if not isinstance(value, dict):
         return False
-    texts = all(isinstance(value.get(key), str | None) for key in ("grade", "unit", "reason"))
-    return texts and _number(value.get("value")) and _number(value.get("std"))
+    texts = all(isinstance(value.get(key), str | None) for key in ("unit", "reason"))
+    return texts and value.get("grade") in _GRADES and _number(value.get("value")) and _number(value.get("std"))
 
 
 def _number(value: object) -> bool:

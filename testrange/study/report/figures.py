@@ -32,6 +32,7 @@ _SHORT = {
     "failed": "failed",
 }
 _MAX_LINES = 6  # curves in one figure
+_MAX_CELLS = 30  # levels of one factor that are written out; more are drawn, every k-th is named
 _BINS = 24  # of a scatter's mean, at most
 
 
@@ -180,7 +181,7 @@ def heat_map(rows: Rows, effects: Effects, across: Factor, up: Factor) -> Figure
     drawn, axes = _board(x, y, across, up)
     shown = axes.imshow(field, origin="lower", aspect="auto", cmap="viridis")
     low, high = (float(np.nanmin(field)), float(np.nanmax(field))) if np.isfinite(field).any() else (0.0, 1.0)
-    for (j, i), value in np.ndenumerate(field):
+    for (j, i), value in np.ndenumerate(field if max(field.shape) <= _MAX_CELLS else field[:0]):
         dark = np.isfinite(value) and (value - low) < 0.55 * (high - low)
         text = "–" if not np.isfinite(value) else f"{value:.3g}"
         axes.text(i, j, text, ha="center", va="center", fontsize=8, color="white" if dark else INK)
@@ -199,7 +200,7 @@ def grade_map(study: Study, rows: Rows, indicator: str, across: Factor, up: Fact
         for j, b in enumerate(y):
             start = i - 0.47
             for grade, share in shares.get((a,) if up is None else (a, b), {}).items():
-                _grade_cell(axes, grade, share, start, j)
+                _grade_cell(axes, grade, share, start, j, told=max(len(x), len(y)) <= _MAX_CELLS)
                 start += 0.94 * share
     axes.set_xlim(-0.5, len(x) - 0.5)
     axes.set_ylim(-0.5, len(y) - 0.5)
@@ -215,7 +216,7 @@ def grade_map(study: Study, rows: Rows, indicator: str, across: Factor, up: Fact
     return drawn
 
 
-def _grade_cell(axes: Axes, grade: str, share: float, start: float, level: int) -> None:
+def _grade_cell(axes: Axes, grade: str, share: float, start: float, level: int, told: bool) -> None:
     failed = grade == "failed"
     axes.add_patch(
         Rectangle(
@@ -228,7 +229,7 @@ def _grade_cell(axes: Axes, grade: str, share: float, start: float, level: int) 
             hatch="///" if failed else None,
         )
     )
-    if share >= 0.2:
+    if share >= 0.2 and told:
         text = _SHORT[grade] if share == 1.0 else f"{_SHORT[grade]}\n{100.0 * share:.0f} %"
         axes.text(
             start + 0.47 * share, level, text, ha="center", va="center", fontsize=8, color=INK if failed else "white"
@@ -242,10 +243,11 @@ def _colour(grade: str) -> str:
 
 def _board(x: Sequence[Value], y: Sequence[Value], across: Factor, up: Factor | None) -> tuple[Figure, Axes]:
     """Axes whose cells are levels."""
-    drawn = figure(max(1.0 * len(x) + 2.2, 4.4), max(0.62 * len(y) + 1.6, 2.2))
+    wide, high = (min(len(levels), _MAX_CELLS) for levels in (x, y))
+    drawn = figure(max(1.0 * wide + 2.2, 4.4), max(0.62 * high + 1.6, 2.2))
     axes = drawn.subplots()
-    axes.set_xticks(range(len(x)), [_text(v) for v in x])
-    axes.set_yticks(range(len(y)), [_text(v) for v in y])
+    axes.set_xticks(*_named(x))
+    axes.set_yticks(*_named(y))
     axes.set_xlabel(_plain(across.title))
     axes.set_ylabel("" if up is None else _plain(up.title))
     axes.grid(False)
@@ -270,8 +272,14 @@ def _places(axes: Axes, factor: Factor, levels: Sequence[Value]) -> np.ndarray:
             axes.set_xticks(x, [_text(v) for v in levels])
             axes.set_xticks([], minor=True)
         return x
-    axes.set_xticks(range(len(levels)), [_text(v) for v in levels], rotation=20 if len(levels) > 4 else 0)
+    axes.set_xticks(*_named(levels), rotation=20 if len(levels) > 4 else 0)
     return np.arange(len(levels), dtype=float)
+
+
+def _named(levels: Sequence[Value]) -> tuple[range, list[str]]:
+    """Places and names of the levels, or of every k-th of many."""
+    places = range(0, len(levels), math.ceil(len(levels) / _MAX_CELLS) or 1)
+    return places, [_text(levels[k]) for k in places]
 
 
 def _text(value: Value | None) -> str:
