@@ -66,12 +66,12 @@ def resumable_folder(target: Path, task: str, replace: bool = False) -> Iterator
             (place / _KEY).write_text(_digest(task), encoding="ascii")
         try:
             yield work
-            put_in_place(work.folder, target, replace)
         except (KeyboardInterrupt, MemoryError, OSError, WriteError):
             raise
         except BaseException:
             shutil.rmtree(place, ignore_errors=True)
             raise
+        put_in_place(work.folder, target, replace)  # where the target was occupied meanwhile, the work waits
         shutil.rmtree(place, ignore_errors=True)
 
 
@@ -80,8 +80,10 @@ def _digest(task: str) -> str:
 
 
 def _belongs(place: Path, task: str) -> bool:
-    key = place / _KEY
-    return key.is_file() and (place / _FOLDER).is_dir() and key.read_bytes()[:64] == _digest(task).encode()
+    key, folder = place / _KEY, place / _FOLDER
+    if any(p.is_symlink() for p in (key, folder, place / _JOURNAL)):  # nothing that we made
+        return False
+    return key.is_file() and folder.is_dir() and key.read_bytes()[:64] == _digest(task).encode()
 
 
 def _clear(place: Path) -> None:
@@ -107,14 +109,22 @@ def _locked(place: Path, target: Path) -> Iterator[None]:
     if place.is_symlink() or (place.exists() and not place.is_dir()):
         raise CampaignError("is in the way", where=str(place), remedy="remove it, or choose another place")
     place.mkdir(parents=True, exist_ok=True)
+    if (place / _LOCK).is_symlink():
+        raise CampaignError("is in the way", where=str(place / _LOCK), remedy="remove it, or choose another place")
     with (place / _LOCK).open("ab") as lock:
         if fcntl is not None:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+                gone = not os.path.samestat(os.fstat(lock.fileno()), os.stat(place / _LOCK))
+            except (
+                BlockingIOError,
+                FileNotFoundError,
+            ):  # held; or its owner ended and removed it between our two steps
+                gone = True
+            if gone:
                 raise CampaignError(
                     "another testrange is at work on it",
                     where=str(target),
                     remedy="wait for it, or choose another place",
-                ) from None
+                )
         yield

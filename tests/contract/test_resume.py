@@ -184,3 +184,46 @@ def test_two_commands_on_one_target(tmp_path: Path) -> None:
         ):
             pass
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_target_that_was_occupied_meanwhile(tmp_path: Path) -> None:
+    """Rationale: the hours of a simulation must not be lost because somebody made a folder of that name. Expected: refused in one
+    line, what was made stays, and the same command ends it once the place is free.
+    """
+    target = tmp_path / "out"
+    with (
+        pytest.raises(CampaignError, match="already exists and is not empty"),
+        resumable_folder(target, "task") as work,
+    ):
+        (work.folder / "made").write_text("1")
+        target.mkdir()
+        (target / "theirs").write_text("x")
+    assert [p.name for p in target.iterdir()] == ["theirs"]
+    (target / "theirs").unlink()
+    with resumable_folder(target, "task") as work:
+        assert work.resumed
+    assert [p.name for p in target.iterdir()] == ["made"]
+
+
+def test_links_in_a_part_folder_are_not_followed(tmp_path: Path) -> None:
+    """Rationale: who may write beside the target could have our files swept and written elsewhere. Expected: a linked folder
+    with the right key counts as nobody's work; what it points to stays as it is. A linked lock is refused.
+    """
+    elsewhere, place = tmp_path / "elsewhere", tmp_path / ".out.part"
+    elsewhere.mkdir()
+    (elsewhere / ".a.part.tif").write_text("precious")
+    with pytest.raises(KeyboardInterrupt), resumable_folder(tmp_path / "out", "task") as work:
+        raise KeyboardInterrupt
+    work.folder.rmdir()
+    work.folder.symlink_to(elsewhere)
+    with resumable_folder(tmp_path / "out", "task") as work:
+        assert not work.resumed
+        (work.folder / "mine").write_text("1")
+    assert [p.name for p in elsewhere.iterdir()] == [".a.part.tif"]
+    assert not (tmp_path / "out").is_symlink()
+    (tmp_path / "out" / "mine").unlink()
+    place.mkdir()
+    (place / "lock").symlink_to(elsewhere / "lock")
+    with pytest.raises(CampaignError, match="is in the way"), resumable_folder(tmp_path / "out", "task"):
+        pass
+    assert not (elsewhere / "lock").exists()
