@@ -111,10 +111,18 @@ def result_blocks(results: Mapping[str, Any], language: Language) -> list[Block]
         for g in GROUPS
         for i in g.indicators
     ]
+    replaced = "; ".join(f"{slot} = {function}" for slot, function in sorted(results.get("algorithms", {}).items()))
+    told = say(
+        language,
+        "下列步骤使用了替换算法，不是由本评价程序自己的算法完成的：",
+        "Replaced algorithms: these steps were not done by the evaluator's own: ",
+    )
+    foreign: list[Block] = [Paragraph(text=told + replaced)] if replaced else []
     blocks: list[Block] = [
         Heading(text=say(language, "5　检测结果", "5  Results")),
         Heading(text=say(language, "5.1　一致性程度", "5.1  Degrees of consistency"), level=2),
         Paragraph(text=say(language, "多传感器一致性检测结果如表 C.3 所示。", "Table C.3 gives the results.")),
+        *foreign,
         Table(
             caption=say(language, "表 C.3　检测结果表", "Table C.3  Results"),
             head=say(

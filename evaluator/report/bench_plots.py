@@ -8,13 +8,14 @@ from matplotlib.ticker import MaxNLocator
 
 from evaluator.bench_model import BoardImage, ChessboardResult, RangingResult, SphereResult, SphereSeries
 from evaluator.camera_model import LENS_NAMES, undistort
-from evaluator.report.style import INK, SORTIE_COLOURS, figure
+from evaluator.report.style import INK, SORTIE_COLOURS, arrow_limits, figure
 from evaluator.report.texts import Texts
 from evaluator.results import correlation_matrix
 
 _GREY = "#6b7280"
 _BAND_COLOURS = {"red": "#c0392b", "green": "#2e8b57", "blue": "#1b6ca8"}
 _VECTORS = 900  # drawn at most; all are in the means and in the scatter
+_LONGEST_ARROW = 0.25  # of the image's width
 _MAP_STEPS = 60
 _CORNERS_OF_A_MEAN = 5  # fewer are noise, not a mean
 _ENGLISH = Texts("en")
@@ -128,7 +129,8 @@ def board_residuals(result: ChessboardResult, t: Texts = _ENGLISH) -> Figure | N
     size = _size(result)
     keep = np.linspace(0, len(observed) - 1, min(len(observed), _VECTORS)).astype(int)
     length = np.hypot(*shift.T)
-    magnify = float(f"{0.02 * size[0] / max(float(np.median(length)), 1e-9):.2g}")
+    most = min(0.02 / max(float(np.median(length)), 1e-9), _LONGEST_ARROW / max(float(length[keep].max()), 1e-9))
+    magnify = float(f"{most * size[0]:.2g}")
     drawn = figure(5.3, 6.6)
     upper, lower = drawn.subplots(2, 1, height_ratios=(1, 1))
     _frame(upper, size)
@@ -137,6 +139,8 @@ def board_residuals(result: ChessboardResult, t: Texts = _ENGLISH) -> Figure | N
     upper.quiver(*observed[keep].T, *(shift[keep] * magnify).T, color=colours[keep], alpha=0.6, width=0.002, **arrows)
     centre, mean = _cell_means(observed, shift, size)
     upper.quiver(*centre.T, *(mean * magnify).T, color=INK, width=0.004, **arrows)
+    low, high = arrow_limits(size, (observed + shift * magnify)[keep], centre + mean * magnify)
+    upper.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
     upper.set_title(t("cell_vectors", m=magnify), fontsize=9)
     reach = 1.1 * max(float(np.quantile(length, 0.999)), 1e-9)
     lower.axhline(0.0, color=_GREY, lw=0.8)

@@ -63,6 +63,7 @@ def render_report(evaluation: Evaluation, score: Score | None, language: Languag
         evaluation=evaluation,
         begun=time_in_words(evaluation.data.manifest.start_time, language) if evaluation.data else "",
         manifest=evaluation.data.manifest if evaluation.data else None,
+        foreign=sorted(results.get("algorithms", {}).items()),
         cards=sections.indicator_cards(evaluation, results, t),
         groups=sections.group_rows(evaluation, t),
         data=sections.data_rows(evaluation, t),

@@ -18,7 +18,7 @@ from evaluator.diagnosis import Deviation, family_limit
 from evaluator.frames import WorldFrame
 from evaluator.model import CampaignData, SortieData
 from evaluator.observe.panel_images import camera_lens
-from evaluator.report.style import GRADE_COLOURS, INK, figure, sortie_colour
+from evaluator.report.style import GRADE_COLOURS, INK, arrow_limits, figure, sortie_colour
 from evaluator.report.terms import parameter, short
 from evaluator.report.texts import Texts
 from evaluator.results import Evaluation, correlation_matrix
@@ -29,6 +29,7 @@ _GREY, _LIMIT = "#6b7280", "#b3261e"
 _MAX_SPEED_M_S = {"multirotor": 16.0, "fixed_wing": 30.0}  # 7.3 a
 _MAX_ACCELERATION_M_S2 = 2.5  # 7.3 c
 _HEIGHT_SHARE, _HEIGHT_M = 0.05, 5.0  # 7.4 b, c
+_LONGEST_ARROW = 0.25  # of the image's width
 _LEAST_FIGURE = 0.3  # |correlation| from which it is printed
 
 
@@ -167,12 +168,11 @@ def residual_vectors(evaluation: Evaluation, t: Texts) -> Figure:
     camera = evaluation.data.camera if evaluation.data else None
     size = (camera.width_px, camera.height_px) if camera else tuple(observed.max(axis=0))
     length = np.hypot(*shift.T)
-    unit = max(float(np.median(length)), 1e-6)
-    magnify = 0.05 * size[0] / unit
+    magnify = size[0] * min(0.05 / max(float(np.median(length)), 1e-6), _LONGEST_ARROW / max(float(length.max()), 1e-6))
     upper.add_patch(Rectangle((0, 0), size[0], size[1], fill=False, ec=_GREY))
     upper.quiver(*observed.T, *(shift * magnify).T, color=colours, angles="xy", scale_units="xy", scale=1, width=0.003)
-    pad = 0.02 * size[0]
-    upper.set(xlim=(-pad, size[0] + pad), ylim=(size[1] + pad, -pad), aspect="equal", xlabel="u [px]", ylabel="v [px]")
+    low, high = arrow_limits(size, observed + shift * magnify)
+    upper.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal", xlabel="u [px]", ylabel="v [px]")
     upper.set_title(t("vectors", m=magnify))
     _scatter_about_zero(lower, shift, colours, np.ones(len(shift), dtype=bool))
     lower.set_title(t("projected_minus"))

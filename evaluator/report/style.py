@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
 import pylopdf_fonts_zh_cn
 from fontTools import subset  # type: ignore[import-untyped]
 from fontTools.ttLib import TTFont  # type: ignore[import-untyped]
@@ -105,3 +106,10 @@ def font_uri(text: str) -> str:
         font.flavor = "woff"
         font.save(buffer)
     return _uri("font/woff", buffer.getvalue())
+
+
+def arrow_limits(size_px: tuple[float, float], *ends_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper limit of both axes, so that the image's frame and the ends of all arrows lie inside."""
+    points = np.vstack([[[0.0, 0.0], size_px], *ends_px])
+    pad = 0.02 * size_px[0]
+    return points.min(axis=0) - pad, points.max(axis=0) + pad

@@ -19,6 +19,10 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
         "虚拟检测场仿真数据。影像、点云和波形均由计算得到，未检测任何实物仪器。",
         "Synthetic data of a virtual range. Images, point clouds and waveforms were computed; no instrument was tested.",
     ),
+    "foreign": (
+        "本次计算使用了替换算法，下列步骤不是由本评价程序自己的算法完成的：",
+        "Replaced algorithms: these steps were not done by the evaluator's own:",
+    ),
     "synthetic_short": ("虚拟检测场仿真数据", "synthetic data of a virtual range"),
     "level_flight": ("，含首条航线前的飞行", ", some seconds before the first strip"),
     "footer": (

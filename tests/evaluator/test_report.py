@@ -10,16 +10,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from matplotlib.quiver import Quiver
 
 from campaign.errors import TestrangeError
 from evaluator.conformity import Row
+from evaluator.documents.model import LANGUAGES, Language, Paragraph
+from evaluator.documents.test_report import build_test_report
 from evaluator.model import CampaignData
 from evaluator.report import hero_picture, write_report
 from evaluator.report import pictures as page_pictures
 from evaluator.report.overlays import shots, spots_by_image
 from evaluator.report.photos import choose_images
+from evaluator.report.plots import residual_vectors
 from evaluator.report.texts import TABLE, Texts
-from evaluator.results import Evaluation
+from evaluator.results import Evaluation, build_results
 from evaluator.score import Score, ScoreItem
 
 BROWSER = runpy.run_path(str(Path(__file__).with_name("browser.py")))
@@ -116,6 +120,49 @@ def test_every_text_is_there_twice() -> None:
     assert asked <= set(TABLE)
     with pytest.raises(KeyError):
         Texts("zh")("no such key")
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_replaced_algorithms_are_named(evaluation: Evaluation, tmp_path: Path, language: Language) -> None:
+    """Rationale: figures by somebody else's algorithm must not pass for the evaluator's. Expected: page and test report name each
+    slot with its function at the head, markup in it as characters; neither says anything where nothing was replaced."""
+    words = Texts(language)("foreign")
+    named = {"mark_measurement": "my.marks:find", "vertex_estimation": "<script>alert(1)</script>"}
+    for algorithms in (named, {}):
+        page = replace(evaluation, algorithms=algorithms, data=None, **NO_FIGURES)  # type: ignore[arg-type]
+        write_report(tmp_path / "r.html", page, None, language)
+        text = (tmp_path / "r.html").read_text()
+        blocks = build_test_report(page, build_results(page), language).blocks
+        told = [b.text for b in blocks if isinstance(b, Paragraph) and "my.marks:find" in b.text]
+        assert (words in html.unescape(text)) == bool(algorithms)
+        assert len(told) == bool(algorithms)
+        assert "<script" not in text
+        if algorithms:
+            head = text[text.index("<header>") : text.index("</header>")]
+            assert all(html.escape(part) in head and part in told[0] for pair in named.items() for part in pair)
+
+
+def test_no_arrow_leaves_its_plot(evaluation: Evaluation) -> None:
+    """Rationale: a mark near the image's corner with a residual that points outward was cut. Expected: feet and tips of all
+    arrows lie within the axes, for a corner, and for one residual a thousand times the others. Tolerance: none."""
+    assert evaluation.data is not None
+    assert evaluation.data.camera is not None
+    size = evaluation.data.camera.width_px, evaluation.data.camera.height_px
+    first = evaluation.residuals[0]
+    for far in (2.0, 500.0):
+        corner = replace(first, observed_px=(size[0] - 2.0, 1.0), projected_px=(size[0] - 2.0 + far, 1.0 - far))
+        drawn = residual_vectors(replace(evaluation, residuals=(*evaluation.residuals, corner)), Texts("en"))
+        axes = drawn.axes[0]
+        arrows = next(c for c in axes.collections if isinstance(c, Quiver))
+        tips = arrows.XY + np.column_stack([arrows.U, arrows.V])
+        (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+        for points in (arrows.XY, tips):
+            assert left <= points[:, 0].min()
+            assert points[:, 0].max() <= right
+            assert top <= points[:, 1].min()
+            assert points[:, 1].max() <= bottom
+        assert right - left < 1.6 * size[0]
 
 
 @pytest.mark.usefixtures("quick")
