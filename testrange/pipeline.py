@@ -146,6 +146,14 @@ def _refuse_unsound(campaign: Path, keep_going: bool) -> list[str]:
     return lines
 
 
+def _refuse_same_place(campaign: Path, out: Path) -> None:
+    """Results inside the campaign would change it; in the campaign's place, or around it, --replace would delete it."""
+    source, target = campaign.resolve(), out.resolve()
+    if target.is_relative_to(source) or source.is_relative_to(target):
+        where = "lies inside" if target.is_relative_to(source) else "holds"
+        raise CampaignError(f"{where} the campaign that is evaluated", where=str(out), remedy="choose another place")
+
+
 def evaluate(
     campaign: Path,
     out: Path,
@@ -168,6 +176,7 @@ def evaluate(
     start = time.monotonic()
     if not campaign.is_dir():
         raise CampaignError("no such folder", where=str(campaign), expected="a campaign folder with manifest.json")
+    _refuse_same_place(campaign, out)
     progress("check", 0, 1)
     known = _refuse_unsound(campaign, keep_going)
     progress("check", 1, 1)

@@ -249,6 +249,23 @@ def test_evaluate_default_place(stubs: dict[str, object], tmp_path: Path, capsys
     assert "greatest |z|" not in capsys.readouterr().out
 
 
+def test_evaluate_leaves_the_campaign_alone(
+    stubs: dict[str, object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rationale: results in the campaign's place, or around it, would delete it with --replace; inside it they change it.
+    Expected: one line, exit code 1, every file still there, for each of these places and by way of a link."""
+    campaign = tmp_path / "run" / "campaign"
+    campaign.mkdir(parents=True)
+    (campaign / "manifest.json").write_text("{}")
+    (tmp_path / "link").symlink_to(campaign)
+    for out in (campaign, campaign / "results", campaign.parent, tmp_path / "link" / "results"):
+        call = ["evaluate", str(campaign), "--out", str(out), "--quiet", "--keep-going", "--no-documents", "--replace"]
+        assert cli.call(call) == 1
+        said = capsys.readouterr()
+        assert "the campaign that is evaluated" in said.out + said.err
+        assert [p.name for p in campaign.iterdir()] == ["manifest.json"]
+
+
 def test_score_prints_large_z(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
