@@ -28,7 +28,7 @@ def card_text(family: Family, member: Member, folder: Path) -> str:
         "",
         "## How it was made",
         "",
-        f"`testrange family make {family.name} --out DIR`, from `{family.base}` with",
+        f"`testrange family make {family.name} --out DIR`, from `{Path(family.base).name}` with",
         "",
         *(f"    {s}" for s in settings),
         "",

@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 from campaign.errors import CampaignError, TestrangeError
@@ -12,7 +13,7 @@ from campaign.progress import Report
 def evaluate_members(
     family: Path, out: Path, progress: Report, workers: int = 2, *, replace: bool = False
 ) -> list[str]:
-    """Evaluates what has no results yet; returns what could not be evaluated, one line each.
+    """Evaluates what has no results since it was made; returns what could not be evaluated, one line each.
 
     Raises
     ------
@@ -23,7 +24,7 @@ def evaluate_members(
     names = sorted(p.name for p in folder.iterdir() if (p / "manifest.json").is_file()) if folder.is_dir() else []
     if not names:
         raise CampaignError("holds no members", where=str(family), expected="what testrange family make wrote")
-    todo = [n for n in names if replace or not (out / n / "results.json").is_file()]
+    todo = [n for n in names if replace or not _newer(out / n / "results.json", folder / n / "manifest.json")]
     problems: list[str] = []
     progress("evaluate", 0, len(todo))
     if workers <= 1:
@@ -35,9 +36,21 @@ def evaluate_members(
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
         jobs = [pool.submit(evaluate_one, folder / name, out / name) for name in todo]
         for done, job in enumerate(as_completed(jobs), start=1):
-            problems += job.result()
+            try:
+                problems += job.result()
+            except BrokenProcessPool:
+                raise CampaignError(
+                    "a process of the evaluation was killed, perhaps for want of memory",
+                    where=str(family),
+                    remedy="the same command goes on; --workers 1 needs less",
+                ) from None
             progress("evaluate", done, len(todo))
     return sorted(problems)
+
+
+def _newer(results: Path, member: Path) -> bool:
+    """Whether results are there, and not of a member that was made again since."""
+    return results.is_file() and results.stat().st_mtime_ns >= member.stat().st_mtime_ns
 
 
 def _one_thread() -> None:

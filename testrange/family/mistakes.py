@@ -1,12 +1,13 @@
 """Names for mistakes: a value that is wrong, and is what a known slip would give."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from testrange.family.model import ACCEPTED, Value
 
 _CLEARLY = 6.0  # tolerances that must lie between two explanations before one is named
+_FARTHEST = 1e150  # tolerances: its square is a number, and JSON has no infinity
 _ONE_WAY = 0.01  # of the multiplication constant: how near to -1/2 or 1
 _POOLED = 25.0  # chi-square by which a mistake must explain all members together better than none
 
@@ -39,7 +40,7 @@ class Compared:
 
     @property
     def tolerances(self) -> float:
-        return (self.got - self.true) / self.tolerance
+        return max(-_FARTHEST, min(_FARTHEST, (self.got - self.true) / self.tolerance))
 
     @property
     def near(self) -> bool:
@@ -104,7 +105,7 @@ def common_mistakes(members: Sequence[Sequence[Compared]]) -> tuple[str, ...]:
         plain = sum(c.tolerances**2 for c in values)
         best: tuple[float, str] | None = None
         for name in sorted({m for c in values for m in c.mistakes}):
-            with_it = sum(((c.got - c.mistakes.get(name, c.true)) / c.tolerance) ** 2 for c in values)
+            with_it = sum(replace(c, true=c.mistakes.get(name, c.true)).tolerances ** 2 for c in values)
             if plain - with_it > _POOLED and with_it < plain / 4.0 and (best is None or with_it < best[0]):
                 best = with_it, name
         if best is not None:

@@ -58,7 +58,7 @@ class Family(Model):
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,40}$")
     title: str
-    base: str = Field(description="a configuration, by name or path")
+    base: str = Field(description="a configuration: a name in configs/campaigns, or a path beside this file")
     set: tuple[str, ...] = ()
     sphere: Settings = Settings()
     ranging: Settings = Settings()
@@ -150,11 +150,13 @@ def load_family(path: Path | str) -> Family:
             raise ConfigError("no such file", where=str(path), expected=f"a TOML file, or one of {ready}")
         file = named
     try:
-        return Family.model_validate(read_toml(file))
+        family = Family.model_validate(read_toml(file))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = f"{file} {'.'.join(map(str, first['loc']))}"
         raise ConfigError(first["msg"], where=where, got=repr(first["input"])[:60]) from None
+    beside = file.parent / family.base  # as in a study's file
+    return family.model_copy(update={"base": str(beside)}) if beside.suffix == ".toml" else family
 
 
 class _ValueModel(Model):

@@ -45,7 +45,7 @@ class Report:
 
     @property
     def right(self) -> bool:
-        return not self.mistakes and all(v.right for v in self.verdicts)
+        return bool(self.verdicts) and not self.mistakes and all(v.right for v in self.verdicts)
 
     def block(self) -> dict[str, Any]:
         """For verdict.json."""
@@ -96,7 +96,11 @@ def verify(family: Path, results: Sequence[Path]) -> Report:
     files = sorted((family / "expected").glob("*.json")) if (family / "expected").is_dir() else []
     if not files:
         raise CampaignError("holds no expected files", where=str(family), expected="what testrange family make wrote")
-    expected = {e.member: e for e in map(read_expected, files)}
+    expected: dict[str, Expected] = {}
+    for file, read in zip(files, map(read_expected, files), strict=True):
+        if read.member in expected:
+            raise CampaignError("expects of one member twice", where=str(file), got=read.member)
+        expected[read.member] = read
     found = _collected(results)
     chosen = [name for name in expected if name in found] if any(p.is_file() for p in results) else list(expected)
     verdicts = tuple(_judged(expected[name], found.get(name)) for name in chosen)
@@ -148,7 +152,11 @@ def _dict(of: object, key: str) -> dict[str, Any]:
 def _number(value: object) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    return float(value) if math.isfinite(value) else None
+    try:
+        number = float(value)
+    except OverflowError:  # JSON has no greatest integer
+        return None
+    return number if math.isfinite(number) else None
 
 
 def _judged(expected: Expected, results: dict[str, Any] | None) -> Verdict:
@@ -167,7 +175,8 @@ def _judged(expected: Expected, results: dict[str, Any] | None) -> Verdict:
     companions = _dict(_dict(indicators, "lidar_ranging_rmse_relative"), "companions")
     mounting = _dict(results, "mounting")
     names, estimates = mounting.get("names"), mounting.get("estimates")
-    solved = dict(zip(names, estimates)) if isinstance(names, list) and isinstance(estimates, list) else {}
+    pairs = zip(names, estimates) if isinstance(names, list) and isinstance(estimates, list) else ()
+    solved = {name: estimate for name, estimate in pairs if isinstance(name, str)}
     for values, of in ((expected.constants, companions), (expected.mounting, solved)):
         for name, value in values.items():
             number = _number(of.get(name))
@@ -203,7 +212,7 @@ def _clauses(expected: Expected, rows: object) -> tuple[tuple[str, ...], tuple[s
 
 
 def summary_lines(report: Report) -> list[str]:
-    """For people: what is wrong, then the counts."""
+    """For people: what is wrong, then the counts. What stands in somebody's file moves no cursor."""
     lines = []
     for v in report.verdicts:
         told = [f"missing {m}" for m in v.missing]
@@ -224,4 +233,4 @@ def summary_lines(report: Report) -> list[str]:
         f"{block['members_right']} of {block['members']} members right; {block['grades_right']} of {block['grades']} grades; "
         f"greatest error {block['greatest_error_in_tolerances']:.2f} tolerances, {ACCEPTED:g} are accepted"
     )
-    return lines
+    return ["".join(c if c.isprintable() else " " for c in line) for line in lines]

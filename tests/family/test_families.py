@@ -2,7 +2,9 @@
 
 import json
 import math
+import os
 import re
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -10,18 +12,19 @@ import numpy as np
 import pytest
 
 from campaign.errors import CampaignError, ConfigError
-from campaign.load import load_config
+from campaign.load import configs_folder, load_config
 from evaluator.c10_1_grading import grade
 from testrange.cli import call
 from testrange.family import model
 from testrange.family.design import middle
 from testrange.family.edits import EDITS
+from testrange.family.evaluate import evaluate_members
 from testrange.family.knobs import GROUP, group_config, knob, solve
 from testrange.family.make import make_family
 from testrange.family.model import BOUNDS, Expected, Family, Value, accepted_grades, grade_of, load_family
 from testrange.family.truth.ranging import Ranging, table
 from testrange.family.truth.sphere import pattern
-from testrange.family.verify import verify
+from testrange.family.verify import summary_lines, verify
 from testrange.family.violations import VIOLATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -257,7 +260,19 @@ def test_a_reversed_sign_and_one_way_time_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", ["", "[1]", '{"campaign": 3}', '{"campaign": "a", "indicators": [1], "conformity": 7}']
+    "content",
+    [
+        "",
+        "[1]",
+        "[" * 200_000,
+        '{"campaign": 3}',
+        '{"campaign": "a", "indicators": [1], "conformity": 7}',
+        '{"campaign": "a", "mounting": {"names": [["x"], {}], "estimates": [1, 2]}}',
+        *(
+            f'{{"campaign": "a", "indicators": {{"reflectance_rmse_relative": {{"value": {value}}}}}}}'
+            for value in ("NaN", "1e400", "9" * 400, "1e308", "true", "[4.0]")
+        ),
+    ],
 )
 def test_hostile_results_are_one_line_or_missing(tmp_path: Path, content: str) -> None:
     """Rationale: results come from anybody. Expected: refused in one line, or judged as without values; no traceback."""
@@ -268,6 +283,54 @@ def test_hostile_results_are_one_line_or_missing(tmp_path: Path, content: str) -
         assert not verify(tmp_path, [tmp_path / "r"]).right
     except CampaignError as error:
         assert "\n" not in str(error)
+
+
+def test_what_somebody_wrote_moves_no_cursor(tmp_path: Path) -> None:
+    """Expected: escapes and line ends of a results file are blanks in what is printed; every number of --json is JSON's."""
+    expect(tmp_path, Expected(member="a", indicators={"reflectance_rmse_relative": RELATIVE}))
+    place = results(
+        tmp_path / "r",
+        "a",
+        indicators={"reflectance_rmse_relative": indicator_of(1e308, "\x1b[2J\nb: fine")},
+        conformity=[{"clause": "7.2\x1b[31m\r\n", "status": "fail"}],
+    )
+    results(tmp_path / "r", "b", campaign="\x1b]0;title\x07")
+    report = verify(tmp_path, [place])
+    assert all(line.isprintable() for line in summary_lines(report))
+    assert json.loads(json.dumps(report.block(), allow_nan=False))["greatest_error_in_tolerances"] > 1e100
+
+
+def test_results_of_another_family_are_not_right(tmp_path: Path) -> None:
+    """Rationale: with single files only the members that they name are judged. Expected: none at all is no success; a member
+    that is expected twice is refused."""
+    expect(tmp_path, Expected(member="a", indicators={"reflectance_rmse_relative": RELATIVE}))
+    results(tmp_path / "r", "z")
+    assert not verify(tmp_path, [tmp_path / "r" / "z" / "results.json"]).right
+    shutil.copy(tmp_path / "expected" / "a.json", tmp_path / "expected" / "b.json")
+    with pytest.raises(CampaignError, match="twice"):
+        verify(tmp_path, [tmp_path / "r"])
+
+
+def test_a_member_made_again_is_evaluated_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rationale: results of the member as it was would be judged against what is expected now."""
+    ran: list[str] = []
+    monkeypatch.setattr("testrange.family.evaluate.evaluate_one", lambda campaign, out: ran.append(campaign.name) or [])
+    for name in ("a", "b"):
+        (tmp_path / "members" / name).mkdir(parents=True)
+        (tmp_path / "members" / name / "manifest.json").write_text("{}")
+        results(tmp_path / "out", name)
+    os.utime(tmp_path / "out" / "b" / "results.json", (1.0, 1.0))
+    assert evaluate_members(tmp_path, tmp_path / "out", quiet, workers=1) == []
+    assert ran == ["b"]
+
+
+def test_a_base_stands_beside_its_family(tmp_path: Path) -> None:
+    """Expected: a path is meant from the family's file, as in a study; the card names the file, not this machine's folders."""
+    (tmp_path / "mine.toml").write_text('name = "m"\ntitle = "m"\nbase = "b.toml"\n')
+    shutil.copy(configs_folder() / "campaigns" / "quickstart.toml", tmp_path / "b.toml")
+    family = load_family(tmp_path / "mine.toml")
+    assert group_config(family, "sphere")
+    assert Path(family.base) == tmp_path / "b.toml"
 
 
 # ---------------------------------------------------------------------------------------------------------------- the page
