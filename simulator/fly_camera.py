@@ -65,7 +65,16 @@ def fly_camera(world: Range, place: CampaignFolder, progress: Report, journal: J
                 waiting.popleft().result()
             waiting.append(
                 writer.submit(
-                    _develop, config, exposing, fixed_pattern, radiance, noise, folder.images / name, tags, image, journal
+                    _develop,
+                    config,
+                    exposing,
+                    fixed_pattern,
+                    radiance,
+                    noise,
+                    folder.images / name,
+                    tags,
+                    image,
+                    journal,
                 )
             )
             progress("camera", done, len(frames))
