@@ -146,7 +146,7 @@ def _refuse_unsound(campaign: Path, keep_going: bool) -> list[str]:
     return lines
 
 
-def _refuse_same_place(campaign: Path, out: Path) -> None:
+def refuse_same_place(campaign: Path, out: Path) -> None:
     """Results inside the campaign would change it; in the campaign's place, or around it, --replace would delete it."""
     source, target = campaign.resolve(), out.resolve()
     if target.is_relative_to(source) or source.is_relative_to(target):
@@ -176,7 +176,7 @@ def evaluate(
     start = time.monotonic()
     if not campaign.is_dir():
         raise CampaignError("no such folder", where=str(campaign), expected="a campaign folder with manifest.json")
-    _refuse_same_place(campaign, out)
+    refuse_same_place(campaign, out)
     progress("check", 0, 1)
     known = _refuse_unsound(campaign, keep_going)
     progress("check", 1, 1)

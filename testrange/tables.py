@@ -46,7 +46,7 @@ def _figure(value: float, unit: str) -> str:
 
 
 def _table(title: str, columns: Iterable[tuple[str, Literal["left", "right"]]]) -> Table:
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title=Text(title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name, justify in columns:
         table.add_column(name, justify=justify, no_wrap=True)
     return table

@@ -49,7 +49,7 @@ def compare(
     from testrange.compare import compare_campaigns, parse_contenders
     from testrange.compare.table import print_comparison
     from testrange.compare.write import comparison_block, write_comparison
-    from testrange.pipeline import inside_run
+    from testrange.pipeline import inside_run, refuse_same_place
     from testrange.progress import display
 
     if not campaigns:
@@ -57,6 +57,8 @@ def compare(
     if time_limit is not None and not 0.0 < time_limit < 1e6:
         raise ConfigError("is no time limit", where="--time-limit", got=time_limit, expected="seconds above zero")
     contenders = parse_contenders(algorithm)
+    for campaign in campaigns:
+        refuse_same_place(inside_run(campaign), out)
     with complete_folder(out, replace) as work, display(quiet=quiet) as progress:
         folders = [inside_run(c) for c in campaigns]
         comparison = compare_campaigns(folders, contenders, progress, time_limit_s=time_limit)

@@ -52,7 +52,7 @@ def print_comparison(comparison: Comparison, out: Console) -> None:
     shown = table("run time [s]", [("campaign", "left"), *((n, "right") for n in heads)])
     for campaign in comparison.campaigns:
         seconds = [o.seconds for o in comparison.outcomes if o.campaign == campaign]
-        shown.add_row(campaign, *("–" if s is None else f"{s:.1f}" for s in seconds))
+        shown.add_row(Text(campaign), *("–" if s is None else f"{s:.1f}" for s in seconds))
     out.print(shown)
     for o in comparison.outcomes:
         if o.reason:

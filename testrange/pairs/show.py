@@ -21,7 +21,7 @@ def print_report(report: Report, to: Console | None = None) -> None:
         table.add_column("tolerances off", justify="right")
         table.add_column("mistake", overflow="fold")
         for v in wrong[:_MOST_ROWS]:
-            table.add_row(v.pair, v.formula, _off(v), Text(v.mistake or v.remark or "none that is known"))
+            table.add_row(v.pair, Text(v.formula), _off(v), Text(v.mistake or v.remark or "none that is known"))
         out.print(table)
         if len(wrong) > _MOST_ROWS:
             out.print(f"and {len(wrong) - _MOST_ROWS} more; --json has them all")
@@ -35,7 +35,7 @@ def print_report(report: Report, to: Console | None = None) -> None:
         own = [v for v in report.verdicts if v.formula == formula]
         count = [sum(v.status == s for v in own) for s in ("right", "wrong", "missing")]
         errors = [v.error_in_tolerances for v in own if v.status == "right" and v.error_in_tolerances is not None]
-        table.add_row(formula, *(str(c or "") for c in count), f"{max(errors):.1e}" if errors else "")
+        table.add_row(Text(formula), *(str(c or "") for c in count), f"{max(errors):.1e}" if errors else "")
     out.print(table)
     total = {s: len(report.of(s)) for s in ("right", "wrong", "missing")}
     out.print(f"{total['right']} right, {total['wrong']} wrong, {total['missing']} missing")

@@ -106,8 +106,12 @@ def verify(pairs: Iterable[Pair], answers: Mapping[str, Answer]) -> Report:
     known = {pair.id for pair in pairs}
     return Report(
         verdicts=tuple(_judge(pair, answers.get(pair.id)) for pair in pairs),
-        unknown=tuple(sorted(str(name)[:80] for name in answers if name not in known)),
+        unknown=tuple(sorted(_printable(str(name)[:80]) for name in answers if name not in known)),
     )
+
+
+def _printable(text: str) -> str:
+    return "".join(c if c.isprintable() else " " for c in text)
 
 
 def _judge(pair: Pair, answer: Answer) -> Verdict:

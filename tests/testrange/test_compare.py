@@ -14,7 +14,9 @@ from testrange.cli import call
 from testrange.compare import Comparison, Contender, parse_contenders
 from testrange.compare.model import Outcome
 from testrange.compare.statistics import BOOTSTRAP, NONE, T, differences, paired_interval, same_for_all, summaries
+from testrange.compare.table import print_comparison
 from testrange.compare.write import comparison_block, number, render_page
+from testrange.tables import _table, console
 
 
 def test_the_t_interval_is_students() -> None:
@@ -130,6 +132,35 @@ def test_the_page_runs_nothing_and_is_the_same_again() -> None:
     assert page == render_page(hostile())
     block = comparison_block(hostile())
     assert "seconds" not in json.dumps(block) and block["runs"][1]["status"] == "failed"
+
+
+def test_what_a_campaign_is_called_is_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    """Expected: a manifest's id with brackets is printed as it stands."""
+    odd = Comparison(
+        contenders=(Contender(name="a"), Contender(name="b")),
+        campaigns=("[/red]",),
+        outcomes=(outcome("[/red]", "a", x={"": 1.0}), outcome("[/red]", "b", x={"": 2.0})),
+        differences=(),
+    )
+    print_comparison(odd, console())
+    print_with_title("GB/T 41450-2022 · [/red]")
+    assert capsys.readouterr().out.count("[/red]") == 2
+
+
+def print_with_title(title: str) -> None:
+    console().print(_table(title, [("a", "left"), ("a column as wide as the title", "left")]))
+
+
+def test_a_comparison_does_not_replace_its_campaign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rationale: --replace deletes what looks like a campaign. Expected: refused in one line, the folder as it was."""
+    campaign = tmp_path / "run" / "campaign"
+    campaign.mkdir(parents=True)
+    (campaign / "manifest.json").write_text("{}")
+    for out in (tmp_path / "run", campaign, campaign / "compared"):
+        words = ["compare", str(tmp_path / "run"), "--algorithm", "vertex-orthogonal", "--out", str(out), "--replace"]
+        assert call(words) == 1
+        assert "the campaign that is evaluated" in capsys.readouterr().err
+    assert [p.name for p in campaign.iterdir()] == ["manifest.json"]
 
 
 @pytest.mark.parametrize(("value", "text"), [(None, "–"), (0.0, "0"), (0.012345, "0.0123"), (1234567.0, "1.23e+06")])

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from testrange.cli import call
 from testrange.pairs.model import Input, Pair, PairsError, Result, read_pairs
+from testrange.pairs.show import print_report
 from testrange.pairs.verify import read_answers, verify
 from testrange.pairs.write import compute_pairs, write_pairs
 
@@ -182,6 +183,15 @@ def test_hostile_pairs(tmp_path: Path, change: object, what: str) -> None:
     path.write_text(json.dumps(content))
     with pytest.raises(PairsError, match=what):
         read_pairs(tmp_path / "pairs")
+
+
+def test_texts_of_a_file_are_printed_as_they_stand(capsys: pytest.CaptureFixture[str]) -> None:
+    """Rationale: pairs and answers come from anywhere. Expected: no markup is read in a formula's name, no escape is printed."""
+    odd = pair("a", "1").model_copy(update={"formula": "[/red] (8)"})
+    print_report(verify([odd], {"a": 2.0, "\x1b[2J\r": 1.0}))
+    told = capsys.readouterr().out
+    assert "[/red] (8)" in told and "answers to no pair: 1:" in told
+    assert not {"\x1b", "\r"} & set(told)
 
 
 def test_files_are_the_same_each_time_and_read_back(tmp_path: Path) -> None:
