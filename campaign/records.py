@@ -12,7 +12,6 @@ from campaign.formats.text import (
     Parse,
     file_name,
     identifier,
-    number,
     optional,
     read_model,
     read_rows,
@@ -141,8 +140,8 @@ ENVIRONMENT_COLUMNS: dict[str, Parse] = {
 CAMERA_OBSERVATION_COLUMNS: dict[str, Parse] = {
     "target": identifier,
     "image": file_name,
-    "u_px": number,
-    "v_px": number,
+    "u_px": within(-1e5, 1e5, "px"),
+    "v_px": within(-1e5, 1e5, "px"),
 }
 LIDAR_OBSERVATION_COLUMNS: dict[str, Parse] = {"target": identifier, "strip": whole, "point": whole}
 

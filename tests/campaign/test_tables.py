@@ -323,3 +323,24 @@ def test_npz_with_a_pickle_is_refused(tmp_path: Path) -> None:
     path.write_bytes(b"PK\x03\x04 no zip")
     with pytest.raises(CampaignError, match="cannot be read"):
         read_true_trajectories(path)
+
+
+@pytest.mark.parametrize(
+    ("row", "column"),
+    [
+        ("F01,a.tif,1e308,1", "u_px"),
+        ("F01,a.tif,1,nan", "v_px"),
+        ("F01,a.tif,1,x", "v_px"),
+        ("<script>,a.tif,1,1", "target"),
+        ("F01,../a.tif,1,1", "image"),
+    ],
+)
+def test_picks_that_nobody_made(tmp_path: Path, row: str, column: str) -> None:
+    """Rationale: observations_camera.csv comes from outside, and a square of 1e308 has no value. Expected: refused with row and
+    column; a pick just beside the image is read."""
+    path = tmp_path / "observations_camera.csv"
+    path.write_text(f"target,image,u_px,v_px\nF01,a.tif,-3.5,20.25\n{row}\n")
+    with pytest.raises(CampaignError, match=f"row 3 column {column}"):
+        read_camera_observations(path)
+    path.write_text("target,image,u_px,v_px\nF01,a.tif,-3.5,20.25\n")
+    assert read_camera_observations(path)[0].u_px == -3.5
