@@ -119,9 +119,9 @@ def system_table(evaluation: Evaluation, language: Language) -> Table:
                 say(
                     language,
                     f"{c.width_px} × {c.height_px} px，像元尺寸 {c.pixel_size_um:g} μm，"
-                    f"焦距 {c.nominal_focal_length_mm:g} mm，波段 {bands}",
+                    f"标称焦距 {c.nominal_focal_length_mm:g} mm，波段 {bands}",
                     f"{c.width_px} × {c.height_px} pixels of {c.pixel_size_um:g} μm, "
-                    f"focal length {c.nominal_focal_length_mm:g} mm, bands {bands}",
+                    f"nominal focal length {c.nominal_focal_length_mm:g} mm, bands {bands}",
                 ),
             )
         )

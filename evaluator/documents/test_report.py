@@ -208,7 +208,10 @@ def _conformity(results: Mapping[str, Any], language: Language) -> list[Block]:
         Heading(text=say(language, "5.3　检测条件的符合性", "5.3  Conformity of the test's conditions"), level=2),
         Table(
             caption=say(language, "附表 #　各章要求的符合情况（条数）", "Table #  Requirements by chapter, counted"),
-            head=[say(language, "章", "Chapter"), *(STATUS[s][0 if language == "zh" else 1] for s in statuses)],
+            head=[
+                say(language, "章", "Chapter"),
+                *(STATUS[s][0 if language == "zh" else 1].capitalize() for s in statuses),
+            ],
             rows=table,
             widths=(3.0, 1, 1, 1, 1, 1.2),
             align="lccccc",
