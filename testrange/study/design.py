@@ -73,8 +73,27 @@ def _sampled(study: Study) -> list[Row]:
     elif study.design == "sobol":
         drawn = sobol.sample(described, count, calc_second_order=study.second_order, seed=seed)
     else:
+        for factor in study.factor:
+            _refuse_rounding(factor, study.grid_levels)
         drawn = morris.sample(described, count, num_levels=study.grid_levels, seed=seed)
     return [tuple(_value(f, float(x)) for f, x in zip(study.factor, row)) for row in np.asarray(drawn)]
+
+
+def _refuse_rounding(factor: Factor, levels: int) -> None:
+    """An elementary effect is divided by the step between levels, which rounding must not change."""
+    if not factor.whole:
+        return
+    low, high = _bounds(factor)
+    places = np.linspace(low, high, levels)
+    rounded = np.rint(10.0**places) if factor.log else np.rint(places)
+    met = np.log10(np.maximum(rounded, 1e-9)) if factor.log else rounded
+    if np.abs(met - places).max() > 0.02 * (high - low):
+        raise ConfigError(
+            f"the {levels} levels of a Morris design are no whole numbers here",
+            where=f"factor {factor.name}",
+            got=f"range {factor.range}",
+            remedy=f"take a range that {levels - 1} divides, another grid_levels, or leave out whole",
+        )
 
 
 def _value(factor: Factor, drawn: float) -> Value:

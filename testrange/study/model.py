@@ -181,7 +181,7 @@ def parse_study(data: Mapping[str, Any], where: str, overrides: tuple[str, ...] 
         place = ".".join(map(str, first["loc"]))
         if first["type"] == "extra_forbidden":
             raise ConfigError(f"{place} is not a setting of a study", where=where) from None
-        what = first["msg"].removeprefix("Value error, ")
+        what = first["msg"].removeprefix("Value error, ").replace("valid tuple", "valid list")
         got = None if first["type"] == "value_error" else repr(first["input"])[:60]
         raise ConfigError(f"{place}: {what}" if place else what, where=where, got=got) from None
     except RecursionError:

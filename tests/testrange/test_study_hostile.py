@@ -185,3 +185,22 @@ def test_hundreds_of_levels_are_a_figure_of_a_sheet() -> None:
             assert drawn.get_size_inches()[0] <= 33.0
             assert len(drawn.axes[0].get_xticks()) <= 30
             assert not drawn.axes[0].texts
+
+
+def test_morris_steps_are_not_rounded_away() -> None:
+    """Rationale: with levels 1, 1.33, 1.67, 2 rounded, 3 a would be said to change by 4.5 over a range of 1. Expected: refused; on
+    levels that are whole, mu* is the change over the range, 9, in closed form; ranges below zero and by ratio are taken.
+    """
+    design: dict[str, Any] = {"design": "morris", "samples": 8}
+    for wrong in ([1.0, 2.0], [1.0, 3.0]):
+        with pytest.raises(ConfigError, match="no whole numbers"):
+            planned(factor=[{"name": "a", "range": wrong, "whole": True}], **design)
+    plan = planned(
+        factor=[
+            {"name": "a", "range": [-2.0, 1.0], "whole": True},
+            {"name": "b", "range": [1.0, 1000.0], "whole": True, "log": True},
+        ],
+        **design,
+    )
+    (found,) = analyse(plan, rows_of(plan, lambda p: 3.0 * p.factors["a"]), {})
+    assert [i.mu_star for i in found.indices] == pytest.approx([9.0, 0.0], abs=1e-9)
