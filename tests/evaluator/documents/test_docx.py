@@ -111,7 +111,7 @@ def test_long_tables_are_quick() -> None:
 def test_within_the_page_and_in_the_schema_s_order(landscape: bool) -> None:
     """Rationale: Word repairs or refuses a paragraph whose properties stand in another order than ECMA-376 part 1, 17.3.1.26 and
     17.3.2.28, and prints past the edge without a word. Expected: that order everywhere, each table as wide as the text at most,
-    rows of a short table kept with the next but the last. Tolerance: one twentieth of a point a column, as widths are rounded to it."""
+    rows of a short table kept with the next but the last. Tolerance: a twentieth of a point a column."""
     word = docx.Document(io.BytesIO(docx_bytes(document(landscape=landscape))))
     section = word.sections[0]
     room = (section.page_width - section.left_margin - section.right_margin) / 635  # EMU in a twentieth of a point
