@@ -147,9 +147,9 @@ def alignment(table: Table) -> list[str]:
 
 
 def kept_together(table: Table) -> list[tuple[int, int]]:
-    """Rows that no page break may part, as (first, number): the whole of a short table, else the last two of a long one.
+    """Rows that no page break may part, as (first, number): the whole of a short table, else the first two and the last two of a long one.
 
-    So no table ends with one row alone on the next page. A row too long to be kept whole is kept with none.
+    So no table begins or ends with one row alone on a page. A row too long to be kept whole is kept with none.
     """
     rows, letters = len(table.rows), _LETTERS_SMALL if table.small else _LETTERS
     lines, widths = [0.0] * rows, shares(table)
@@ -160,4 +160,4 @@ def kept_together(table: Table) -> list[tuple[int, int]]:
         return []
     if rows <= _SHORT_TABLE and sum(lines) <= _KEPT_LINES:
         return [(0, rows)]
-    return [(rows - 2, 2)]
+    return [(0, 2), (rows - 2, 2)] if rows > 3 and sum(lines[:2]) <= _KEPT_LINES else [(rows - 2, 2)]
