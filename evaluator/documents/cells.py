@@ -147,7 +147,7 @@ def alignment(table: Table) -> list[str]:
 
 
 def kept_together(table: Table) -> list[tuple[int, int]]:
-    """Rows that no page break may part, as (first, number): the whole of a short table, else the first two and the last two of a long one.
+    """Rows that no page break may part, as (first, number): all of a short table, else the first and the last two.
 
     So no table begins or ends with one row alone on a page. A row too long to be kept whole is kept with none.
     """
