@@ -54,7 +54,7 @@ def difference_figure(found: Sequence[Difference], first: str, second: str) -> F
         axes.plot([scale * d.absolute.mean], [row], "o", color=colour, markersize=4.0)
     axes.axvline(0.0, color=_GREY, linewidth=0.8)
     axes.set_yticks(range(len(shown)), [d.quantity for d in shown])
-    axes.set_ylim(len(shown) - 0.5, -0.5)
+    axes.set_ylim(max(len(shown), 1) - 0.5, -0.5)
     axes.grid(visible=False, axis="y")
     axes.set_xlabel(f"|error| of {first} minus {second}, % of the larger RMS")
     axes.set_title(f"← {first} better · {second} better →", fontsize=8, loc="center")
@@ -75,7 +75,8 @@ def time_figure(outcomes: Sequence[Outcome], contenders: Sequence[str]) -> Figur
         axes.plot(part, [row] * len(part), "D", color=SORTIE_COLOURS[1], label="compared slots" if not row else None)
     axes.set_yticks(range(len(contenders)), contenders)
     axes.set_ylim(len(contenders) - 0.5, -0.5)
-    axes.set_xscale("log")
+    if any(o.seconds for o in outcomes):  # where all have failed there is nothing to scale
+        axes.set_xscale("log")
     axes.grid(visible=False, axis="y")
     axes.set_xlabel("seconds")
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))

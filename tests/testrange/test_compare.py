@@ -134,6 +134,20 @@ def test_the_page_runs_nothing_and_is_the_same_again() -> None:
     assert "seconds" not in json.dumps(block) and block["runs"][1]["status"] == "failed"
 
 
+def test_a_comparison_in_which_everything_failed_has_a_page() -> None:
+    """Expected: the reasons, and no figure that has nothing to scale; also where one value leaves no interval."""
+    failed = tuple(Outcome(campaign="c", contender=name, reason=f"{name} hung") for name in "ab")
+    alone = (outcome("c", "a", x={"": 1.0}), outcome("c", "b", x={"": 2.0}))
+    for outcomes, word in ((failed, "b hung"), (alone, "told apart")):
+        found = Comparison(
+            contenders=(Contender(name="a"), Contender(name="b")),
+            campaigns=("c",),
+            outcomes=outcomes,
+            differences=tuple(differences(outcomes, ["a", "b"])),
+        )
+        assert word in render_page(found)
+
+
 def test_what_a_campaign_is_called_is_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
     """Expected: a manifest's id with brackets is printed as it stands."""
     odd = Comparison(
