@@ -204,3 +204,13 @@ def test_morris_steps_are_not_rounded_away() -> None:
     )
     (found,) = analyse(plan, rows_of(plan, lambda p: 3.0 * p.factors["a"]), {})
     assert [i.mu_star for i in found.indices] == pytest.approx([9.0, 0.0], abs=1e-9)
+
+
+def test_a_curve_runs_from_left_to_right() -> None:
+    """Expected: levels written as 30, 10, 20 are drawn as 10, 20, 30, each with its own mean."""
+    plan = planned(factor=[{"name": "a", "values": [30, 10, 20]}])
+    rows = rows_of(plan, lambda p: 2.0 * p.factors["a"])
+    (found,) = analyse(plan, rows, {})
+    with style():
+        drawn = figures.curves(plan.study, rows, found, plan.study.factor[0], None)
+    assert drawn.axes[0].lines[0].get_xydata().tolist() == [[10.0, 20.0], [20.0, 40.0], [30.0, 60.0]]

@@ -81,6 +81,8 @@ def curves(study: Study, rows: Rows, effects: Effects, factor: Factor, by: Facto
     drawn = figure(5.6, 3.7)
     axes = drawn.subplots()
     levels = levels_of(rows, factor)
+    if is_number(levels):  # whatever their order in the study file, the line runs from left to right
+        levels = sorted(levels, key=lambda v: float(v))  # type: ignore[arg-type]
     x = _places(axes, factor, levels)
     groups: list[Value | None] = [None] if by is None else [*levels_of(rows, by)[:_MAX_LINES]]
     names = [factor.name] if by is None else [factor.name, by.name]
