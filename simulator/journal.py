@@ -77,7 +77,7 @@ def _read(root: Path, file: Path) -> dict[str, dict[str, int]]:
         try:
             entry = json.loads(line)
             unit, sizes = str(entry["unit"]), {str(k): int(v) for k, v in entry["files"].items()}
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             continue
         if all((root / name).is_file() and (root / name).stat().st_size == size for name, size in sizes.items()):
             known[unit] = sizes

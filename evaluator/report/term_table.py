@@ -29,6 +29,7 @@ NAMES: dict[str, tuple[str, str]] = {
     "std": ("标准差", "standard deviations"),
     "estimates": ("估计值", "estimates"),
     "correlation": ("K₂ 与 R₂ 的相关系数", "correlation of K₂ and R₂"),
+    "covariance": ("协方差矩阵", "covariance matrix"),
     # 8.1
     "with_cos_incidence": ("振幅除以入射角余弦 [%]", "amplitude over the cosine of incidence [%]"),
     "with_cos_incidence_leave_one_panel_out": (
