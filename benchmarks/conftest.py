@@ -26,7 +26,10 @@ def record(pytestconfig: pytest.Config) -> Iterator[Record]:
     figures = pytestconfig.stash.setdefault(FIGURES, {})
     yield lambda **new: figures.update({name: float(f"{value:.4g}") for name, value in new.items()})
     LATEST.parent.mkdir(parents=True, exist_ok=True)
-    LATEST.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    known = (
+        json.loads(LATEST.read_text(encoding="utf-8")) if LATEST.is_file() else {}
+    )  # what this session did not measure stays
+    LATEST.write_text(json.dumps(known | figures, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
