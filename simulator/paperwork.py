@@ -126,7 +126,7 @@ def _bench_instruments(config: Config) -> dict[str, str]:
 
 def flight_plan(config: Config, scene: Scene, sorties: tuple[Sortie, ...], frame: SiteFrame) -> FlightPlan:
     """The plan of 7.1 a-g, as it would be filed before the flight."""
-    site, flight = config.site, config.flight
+    site, flight, camera = config.site, config.flight, config.camera
     strips = []
     ends = []
     for sortie, height, speed in zip(sorties, flight.heights_m, speeds_m_s(config), strict=True):
@@ -171,7 +171,12 @@ def flight_plan(config: Config, scene: Scene, sorties: tuple[Sortie, ...], frame
         duration_s=round(float(last - first), 1),
         deadline=start.date().isoformat(),
         requirements=config.campaign.purpose,
-        gsd_m=round(flight.gsd_m if flight.gsd_m is not None else min(flight.heights_m) / config.camera.lens.fx_px, 6),
+        gsd_m=round(  # by the maker's nominal figures: the true lens is nobody's to know
+            flight.gsd_m
+            if flight.gsd_m is not None
+            else min(flight.heights_m) * camera.pixel_size_um * 1e-3 / camera.nominal_focal_length_mm,
+            6,
+        ),
         site_height_m=round(site.ellipsoid_height_m - site.height_anomaly_m, 4),
         ground_slope_deg=site.slope_deg,
         obstacle_angle_deg=config.environment.obstacle_angle_deg,

@@ -149,7 +149,7 @@ def imported(module: ast.Module) -> set[str]:
     return names
 
 
-SCORERS = {"score.py", "score_points.py"}  # of parameters, of points
+SCORERS = {"score.py", "score_points.py", "score_echoes.py", "score_observations.py"}  # of parameters, of single things
 
 
 def test_only_score_knows_where_the_truth_is() -> None:
