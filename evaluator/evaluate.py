@@ -6,7 +6,7 @@ searched. Then the indicators, then conformity. An indicator that cannot be had 
 others. Nothing under truth/ is opened.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,9 @@ from evaluator.c8_1_lidar_reflectance import PanelReflectances, evaluate_lidar_r
 from evaluator.c8_3_reflectance_consistency import evaluate_reflectance_consistency
 from evaluator.c9_3_calibration import CalibrationResult, evaluate_calibration
 from evaluator.closure import closure
-from evaluator.conformity import ConformityInputs, conformity_rows
-from evaluator.coverage import targets_in_images, targets_outside_images, targets_outside_strips
+from evaluator.conformity import conformity_rows
+from evaluator.conformity.observed import observed_inputs
+from evaluator.coverage import targets_outside_images, targets_outside_strips
 from evaluator.diagnosis import deviations, suspects
 from evaluator.frames import WorldFrame
 from evaluator.geometry import GeometryResult, observe_marks, search_radius_px, solve_geometry
@@ -138,7 +139,17 @@ def evaluate_with(root: Path, progress: Report, tools: Tools, log: Log, *, stric
     }
     examples = waveform_examples(data, returns, lidar_panels, tools)
     measured = replace(
-        _conformity_inputs(data, findings, geometry, lidar_panels, returns, camera, indicators),
+        observed_inputs(
+            data,
+            marks=findings.marks,
+            panels=findings.panels,
+            brightness=findings.brightness,
+            geometry=geometry,
+            lidar_panels=lidar_panels,
+            returns=returns,
+            camera=camera,
+            indicators_measured=sum(v.value is not None for v in indicators.values()),
+        ),
         sphere=benches.sphere,
         chessboard=benches.chessboard,
         ranging=benches.ranging,
@@ -441,69 +452,3 @@ def _panel_values(
         for t in sorted(data.targets, key=lambda t: t.id)
         if t.kind == "panel"
     )
-
-
-def _conformity_inputs(
-    data: CampaignData,
-    findings: _Findings,
-    geometry: GeometryResult | None,
-    lidar_panels: list[LidarPanelObservation],
-    returns: dict[tuple[int, int, str], TargetReturns],
-    camera: Mounting | None,
-    indicators: dict[str, IndicatorValue],
-) -> ConformityInputs:
-    """Facts that only the observations tell."""
-    points: dict[str, int] = {}
-    by_sortie: dict[int, dict[str, int]] = {}
-    for o in lidar_panels:
-        points[o.panel] = points.get(o.panel, 0) + o.points
-        mine = by_sortie.setdefault(o.sortie, {})
-        mine[o.panel] = mine.get(o.panel, 0) + o.points
-    linear: dict[str, list[float]] = {}
-    clipped: dict[str, list[float]] = {}
-    if data.camera is not None:
-        full = 2.0**data.camera.bit_depth - 1.0 - data.camera.black_level_dn
-        for v in findings.panels:
-            linear.setdefault(v.panel, []).append(max(v.mean_dn) / full)
-            clipped.setdefault(v.panel, []).append(max(v.clipped_share))
-    used = {m.target for m in findings.marks} & {v.target for v in (geometry.vertices if geometry else ())}
-    return ConformityInputs(
-        panel_points=points,
-        panel_points_by_sortie=by_sortie,
-        panel_brightness={k: float(np.mean(v)) for k, v in findings.brightness.items()},
-        panel_brightness_linear={k: float(np.mean(v)) for k, v in linear.items()},
-        panel_clipped_share={k: float(np.max(v)) for k, v in clipped.items()},
-        targets_in_image=targets_in_images(data, camera),
-        scan_interval_s=_scan_intervals(returns),
-        strip_window_s=_strip_windows(returns),
-        frustum_vertices=len({v.target for v in geometry.vertices}) if geometry else None,
-        frustum_marks=len({m.target for m in findings.marks}) if data.camera is not None else None,
-        frustums_used=len(used) if geometry else None,
-        panels_picked_by=_picked_by(findings.panels),
-        frustums_picked_by=_picked_by(findings.marks),
-        indicators_measured=sum(v.value is not None for v in indicators.values()),
-    )
-
-
-def _picked_by(found: Sequence[MarkObservation | ImagePanelObservation]) -> str | None:
-    if not found:
-        return None
-    return "person" if any(o.picked_by == "person" for o in found) else "evaluator"
-
-
-def _scan_intervals(returns: dict[tuple[int, int, str], TargetReturns]) -> dict[tuple[int, int], float]:
-    """Seconds from the first to the last target scanned, by each target's mean time, for strips that saw two or more."""
-    times: dict[tuple[int, int], list[float]] = {}
-    for (sortie, strip, _), rows in returns.items():
-        times.setdefault((sortie, strip), []).append(float(rows.returns.gps_time_s.mean()))
-    return {key: max(t) - min(t) for key, t in sorted(times.items()) if len(t) > 1}
-
-
-def _strip_windows(returns: dict[tuple[int, int, str], TargetReturns]) -> dict[tuple[int, int], tuple[float, float]]:
-    """From the first to the last return near any target: the part of the strip over the range."""
-    windows: dict[tuple[int, int], tuple[float, float]] = {}
-    for (sortie, strip, _), rows in returns.items():
-        low, high = windows.get((sortie, strip), (np.inf, -np.inf))
-        time = rows.returns.gps_time_s
-        windows[sortie, strip] = (min(low, float(time.min())), max(high, float(time.max())))
-    return dict(sorted(windows.items()))

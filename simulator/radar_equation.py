@@ -1,7 +1,7 @@
 """What a LiDAR receives from an extended target: pure formulas, no geometry and no scene.
 
-The kernel in `simulator.render.waveforms` evaluates the same product for every sub-ray; one pulse is worked through by hand in
-docs/radar_equation.md, and a test compares the three.
+`simulator.pulses.cone` evaluates the same product for what a footprint sees, `simulator.render.waveforms` for every sub-ray, as the
+reference; one pulse is worked through by hand in docs/radar_equation.md, and tests compare them.
 """
 
 import math

@@ -1,4 +1,7 @@
-"""Full-waveform LiDAR on the ray tracer: one lane a pulse, every output slot written once: the same bytes on any threads.
+"""The LiDAR's brute-force reference: every sub-ray of every pulse traced by Mitsuba's ray caster and added up. No campaign is made
+with it; tests and benchmarks compare `simulator.pulses`, which makes them, with this independent kernel.
+
+One lane a pulse, every output slot written once: the same bytes on any threads.
 
 In: beams (origin, axis, timing shift). Out: noise-free waveforms in digitiser steps above the baseline, where each packet
 starts, and what the beam's axis hit. Noise, quantising and detection belong to the device (simulator.device).
@@ -177,34 +180,3 @@ class Tracer:
             )
 
         return wait
-
-    def surface_near(self, beams: Beams, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which surface a return came from: of all sub-rays, the hit nearest in range to (n,) `range_m`.
-
-        Returns (n,) float32 range, NaN where nothing is hit, and (n,) uint32 face.
-        """
-        subrays = len(self._optics.footprint.weight)
-        origin, direction, wanted = self._beam(
-            Beams(origin_m=beams.origin_m, direction=beams.direction, shift_m=range_m)
-        )
-
-        def trace(s: Any, best: Any, range_: Any, face: Any) -> tuple[Any, ...]:
-            ray = mi.Ray3f(origin, direction(s))
-            hit = self._scene.mi_scene.ray_intersect_preliminary(ray, coherent=False)
-            miss = dr.abs(hit.t - wanted)
-            better = hit.is_valid() & (miss < best)
-            return (
-                s + 1,
-                dr.select(better, miss, best),
-                dr.select(better, hit.t, range_),
-                dr.select(better, hit.prim_index, face),
-            )
-
-        _, _, found, face = dr.while_loop(
-            (mi.UInt32(0), mi.Float(dr.inf), mi.Float(dr.nan), mi.UInt32(int(NO_HIT))),
-            lambda s, *_: s < subrays,
-            trace,
-            max_iterations=subrays,
-        )
-        dr.eval(found, face)
-        return np.asarray(found), np.asarray(face)

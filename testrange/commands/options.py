@@ -23,7 +23,7 @@ Workers = Annotated[
     int,
     Parameter(
         validator=Number(gte=1, lte=256),
-        help="Processes that share pictures and strips; more than one pays from four cores on. The same files for any number.",
+        help="Processes that share pictures and strips, and the cores; the same files for any number.",
     ),
 ]
 Json = Annotated[bool, Parameter(name="--json", negative="", show_default=False, help="Print JSON instead of tables.")]
