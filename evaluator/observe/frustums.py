@@ -234,6 +234,8 @@ def fit_vertex(task: VertexTask) -> FoundVertex | str:
         keep = np.abs(residual) < np.maximum(gate, 4.0 * std)
         if keep.sum() < _LEAST_FACES * _LEAST_POINTS:
             return f"{int(keep.sum())} returns fit the faces"
+        if np.unique(face[use][keep]).size < _LEAST_FACES:  # fewer planes have no point in common
+            return f"returns on {np.unique(face[use][keep]).size} faces only"
         used_std = std[keep]
         # Huber weights: a return off its plane still pulls, but no harder than one at two standard deviations
         size = np.abs(residual[keep]) / used_std
