@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/ready
 
-.PHONY: install demo test slow check bench lock picture clean
+.PHONY: install demo test slow check bench baseline lock picture clean
 install: $(READY)
 
 demo: $(READY)
@@ -25,6 +25,10 @@ check: $(READY)
 
 bench: $(READY)
 	$(BIN)/pytest -q benchmarks --benchmark-only
+
+# What later runs of `make bench` are compared with; on a machine that does nothing else.
+baseline: $(READY)
+	$(BIN)/pytest -q benchmarks --benchmark-only --baseline
 
 # uv itself comes out of the lock, with its hashes; it then installs the rest from the lock alone.
 $(READY): requirements.lock pyproject.toml

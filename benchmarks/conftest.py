@@ -1,41 +1,174 @@
-"""What the benchmarks share: the quickstart's range, and out/bench/latest.json with the figures of a run.
+"""What the benchmarks share: the quickstart's range, out/bench/latest.json with the figures of a run, and the table at its end.
 
 A figure is a ratio of two things measured in one run on one machine, or stands beside one: bare seconds say little elsewhere.
-Nothing here fails because it is slow.
+A speed is held against benchmarks/baseline.json as a multiple of a small reference kernel's, timed beside each figure in both
+runs. Bars are the project's own. Nothing here fails because it is slow.
 """
 
 import json
+import os
+import platform
+import statistics
+import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from campaign.load import load_config
+from campaign.threads import thread_count
 from simulator import rig
 from simulator.lidar import StripChunk, simulate_strip
 from simulator.simulate import Range, prepare_range
 
 LATEST = Path(__file__).parents[1] / "out" / "bench" / "latest.json"
+BASELINE = Path(__file__).with_name("baseline.json")
+KERNEL = "reference_kernel_per_s"
 Record = Callable[..., None]
-FIGURES = pytest.StashKey[dict[str, float]]()
+
+# What is asked for: at least, or at most. A name with an ending (`_slope`, `_flat`) has a bar only where it stands here.
+BARS: dict[str, tuple[str, float]] = {
+    "lidar_pulses_per_s_unwritten": (">=", 1_800_000),
+    "lidar_pulses_per_s": (">=", 700_000),
+    "lidar_amplitude_rms_ratio": ("<=", 0.005),
+    "lidar_amplitude_rms_ratio_slope": ("<=", 0.005),
+    "lidar_range_bias_m": ("<=", 0.0005),
+    "lidar_range_bias_m_slope": ("<=", 0.0005),
+    "lidar_echo_count_equal": (">=", 0.999),
+    "lidar_rim_amplitude_bias": ("<=", 0.01),
+    "camera_time_ratio": ("<=", 1.10),
+    "memory_ratio_10x": ("<=", 1.1),
+    "memory_simulate_gb": ("<=", 3.0),
+    "memory_evaluate_gb": ("<=", 3.0),
+    "decompositions_per_s": (">=", 50_000),
+    "rerun_time_ratio": ("<=", 0.20),
+    "study_two_workers_ratio": (">=", 1.7),
+    "help_s": ("<=", 0.3),
+}
+
+
+@dataclass
+class Session:
+    """Figures of this run, and how quick the machine was when each was taken."""
+
+    figures: dict[str, float] = field(default_factory=dict)
+    kernel_per_s: list[float] = field(default_factory=list)
+
+
+SESSION = pytest.StashKey[Session]()
+
+
+def kernel_per_s() -> float:
+    """Rounds of a small kernel on every thread, a second: arithmetic in the cache, without any code of ours."""
+    block = np.linspace(0.1, 1.0, 16_384)
+
+    def work(_: int) -> None:
+        for _ in range(60):
+            np.exp(np.sin(block) * block)
+
+    threads = thread_count()
+    with ThreadPoolExecutor(threads) as pool:
+        start = time.perf_counter()
+        list(pool.map(work, range(2 * threads)))
+        return 2 * threads * 60 / (time.perf_counter() - start)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--baseline", action="store_true", help="put the figures of this run into benchmarks/baseline.json"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.stash[SESSION] = Session()
 
 
 @pytest.fixture(scope="session")
 def record(pytestconfig: pytest.Config) -> Iterator[Record]:
-    """`record(name=value, ...)`: a figure for latest.json and the terminal."""
-    figures = pytestconfig.stash.setdefault(FIGURES, {})
-    yield lambda **new: figures.update({name: float(f"{value:.4g}") for name, value in new.items()})
-    LATEST.parent.mkdir(parents=True, exist_ok=True)
-    known = (
-        json.loads(LATEST.read_text(encoding="utf-8")) if LATEST.is_file() else {}
-    )  # what this session did not measure stays
-    LATEST.write_text(json.dumps(known | figures, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    """`record(name=value, ...)`: figures for latest.json and the table."""
+    session = pytestconfig.stash[SESSION]
+
+    def add(**new: float) -> None:
+        session.figures.update({name: float(f"{value:.4g}") for name, value in new.items()})
+        session.kernel_per_s.append(statistics.median(kernel_per_s() for _ in range(3)))
+        session.figures[KERNEL] = float(f"{statistics.median(session.kernel_per_s):.4g}")
+        _write(LATEST, _read(LATEST) | session.figures)  # at once, and what this session did not measure stays
+
+    yield add
+    if pytestconfig.getoption("--baseline"):
+        _write(BASELINE, {"machine": machine(), "figures": session.figures})
 
 
+def machine() -> dict[str, str | int]:
+    """Of what kind it is; no name of it, no path."""
+    model = ""
+    if Path("/proc/cpuinfo").is_file():
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+        model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "")
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else 0
+    return {
+        "cpu": model or platform.machine(),
+        "threads": thread_count(),
+        "memory_gb": round(memory / 1e9),
+        "system": platform.system(),
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("numpy", "numba", "mitsuba", "drjit")},
+    }
+
+
+def _read(path: Path) -> dict[str, float]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _write(path: Path, content: object) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def against(name: str, value: float, kernel: float, base: dict[str, float]) -> float | None:
+    """How many times the baseline a figure is; speeds and times in units of the machine's own."""
+    if not base.get(name) or not base.get(KERNEL) or not kernel:
+        return None
+    if name.endswith("_ratio") or name == KERNEL:
+        power = 0
+    else:
+        power = 1 if "_per_s" in name else -1 if name.endswith("_s") else 0
+    return float(value / base[name] * (base[KERNEL] / kernel) ** power)
+
+
+def missed(name: str, value: float) -> bool:
+    sense, bar = BARS.get(name, (">=", -np.inf))
+    return not (value >= bar if sense == ">=" else value <= bar)
+
+
+@pytest.hookimpl(trylast=True)
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """The figures once more, for people."""
-    for name, value in config.stash.get(FIGURES, {}).items():
-        terminalreporter.write_line(f"{name:48s} {value:>12,.6g}")
+    """Every figure of the run: its ratio to the baseline's, the bar, and a mark where the bar is missed."""
+    figures = config.stash[SESSION].figures
+    if not figures:
+        return
+    stored = _read(BASELINE)
+    base = stored.get("figures", {})
+    terminalreporter.section("figures")
+    terminalreporter.write_line(f"{'figure':44s} {'value':>12s} {'/ baseline':>11s} {'bar':>14s}")
+    for name in sorted(figures):
+        ratio = against(name, figures[name], figures[KERNEL], base)
+        told = "-" if ratio is None else f"{ratio:.2f}"
+        bar = "{} {:,.6g}".format(*BARS[name]) if name in BARS else ""
+        mark = "  MISSED" if missed(name, figures[name]) else ""
+        terminalreporter.write_line(f"{name:44s} {figures[name]:>12,.6g} {told:>11s} {bar:>14s}{mark}")
+    told = ", ".join(f"{k} {v}" for k, v in stored.get("machine", {}).items()) or "none: make baseline writes one"
+    terminalreporter.write_line(f"baseline: {told}")
+    count = sum(missed(name, value) for name, value in figures.items())
+    terminalreporter.write_line(f"bars missed: {count}; figures: {LATEST.relative_to(LATEST.parents[2])}")
 
 
 @pytest.fixture(scope="session")
