@@ -4,6 +4,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from campaign.config import Config
+
 
 class Stream(IntEnum):
     SURVEY = 1
@@ -20,6 +22,11 @@ class Stream(IntEnum):
     SPHERE = 14
     CHESSBOARD = 15
     RANGING = 16
+
+
+def scene_seed(config: Config) -> int:
+    """Of everything that stands, flies or is sampled for a picture: what a change of `seed` alone leaves as it is."""
+    return config.seed if config.scene_seed is None else config.scene_seed
 
 
 def generator(seed: int, stream: Stream, *key: int) -> np.random.Generator:

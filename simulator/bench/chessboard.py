@@ -39,7 +39,7 @@ from simulator.bench.placements import (
 )
 from simulator.journal import Journal
 from simulator.kept import kept_array
-from simulator.randomness import Stream, generator
+from simulator.randomness import Stream, generator, scene_seed
 from simulator.render.board import BoardView, render_board
 from simulator.render.sampling import frame_words
 from simulator.render.scene import load_scene
@@ -111,7 +111,7 @@ def simulate_chessboard(
                 progress("chessboard", k + 1, len(plan))
                 continue
             view = board_view(config, camera, placement)
-            words = frame_words(config.seed, int(Stream.CHESSBOARD), (_SAMPLES, k))
+            words = frame_words(scene_seed(config), int(Stream.CHESSBOARD), (_SAMPLES, k))
             grey = kept_array(
                 config.render.cache,
                 (version("testrange"), "chessboard", view, board, settings, words),

@@ -14,7 +14,7 @@ from campaign.config import Config, Lens
 from campaign.errors import ConfigError
 from scenes.chessboard import Board, board_of
 from simulator.camera import distort, pixel_from_distorted
-from simulator.randomness import Stream, generator
+from simulator.randomness import Stream, generator, scene_seed
 
 CELLS = (8, 6)  # of the field, across and down: each holds a corner at every distance
 CLEAR_PX = 3.0  # a corner nearer to a cell's border may be found on its other side
@@ -104,7 +104,7 @@ def plan_placements(config: Config) -> tuple[Placement, ...]:
         The board is too large for the field at a distance, or its squares are too small in the picture.
     """
     board, lens = board_of(config.bench.chessboard), bench_lens(config)
-    size = np.array([config.camera.width_px, config.camera.height_px], float)
+    size, seed = np.array([config.camera.width_px, config.camera.height_px], float), scene_seed(config)
     tilt = config.bench.chessboard.tilt_deg
     distances = sorted(set(config.bench.chessboard.distances_m))
     plan: list[Placement] = []
@@ -118,9 +118,9 @@ def plan_placements(config: Config) -> tuple[Placement, ...]:
                 expected=f"at least {MIN_SQUARE_PX:g} px",
                 remedy="use larger squares or a shorter distance in distances_m",
             )
-        plan += _walk(board, lens, size, distance, tilt, index, config.seed)
+        plan += _walk(board, lens, size, distance, tilt, index, seed)
     turned = max(TURNED_IMAGES, MIN_IMAGES - len(plan))
-    rng = generator(config.seed, Stream.CHESSBOARD, _PLAN, len(distances))
+    rng = generator(seed, Stream.CHESSBOARD, _PLAN, len(distances))
     for k in range(turned):
         roll = (90.0, -90.0, 90.0, 180.0)[k % 4] + rng.uniform(-10, 10)
         share = 0.5 + 0.25 * rng.uniform(-1, 1, 2)

@@ -25,7 +25,7 @@ from simulator import sensor
 from simulator.camera import undistort
 from simulator.journal import Journal
 from simulator.kept import kept_array
-from simulator.randomness import Stream, generator
+from simulator.randomness import Stream, generator, scene_seed
 from simulator.render.sphere import radiance_per_watt, wall_points
 
 STABILITY, REPEATABILITY = 0, 1  # keys of random streams
@@ -121,7 +121,7 @@ def sphere_light(config: Config, window: sensor.Window) -> SphereLight:
             where="camera.lens",
             remedy="a lens with less distortion at the picture's corners, or bench.sphere.window_px",
         )
-    seed = config.seed if config.scene_seed is None else config.scene_seed
+    seed = scene_seed(config)
     nodes = kept_array(
         config.render.cache,
         (version("testrange"), "sphere", config.bench.sphere, places, seed),

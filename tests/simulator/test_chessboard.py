@@ -98,11 +98,15 @@ def test_plan_tilts_and_turns() -> None:
 
 
 def test_plan_is_the_seeds() -> None:
-    """Rationale: a campaign is its configuration. Expected: the same poses for the same seed, others for another.
-    Tolerance: exact.
+    """Rationale: a campaign is its configuration, and what is rendered must not be rendered again for another noise. Expected: the
+    same poses for the same seed, others for another, and the same where `scene_seed` holds them. Tolerance: exact.
     """
-    first, again, other = (plan_placements(load_config("quickstart", [f"seed={s}"])) for s in (3, 3, 4))
-    assert all((a.rotation == b.rotation).all() for a, b in zip(first, again, strict=True))
+    first, again, other, held = (
+        plan_placements(load_config("quickstart", [f"seed={s}", *more]))
+        for s, *more in ((3,), (3,), (4,), (4, "scene_seed=3"))
+    )
+    for same in (again, held):
+        assert all((a.rotation == b.rotation).all() for a, b in zip(first, same, strict=True))
     assert any((a.rotation != b.rotation).any() for a, b in zip(first, other))
 
 
