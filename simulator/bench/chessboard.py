@@ -16,6 +16,7 @@ at each distance, as a person would, so that the brightest white of its pictures
 
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import fields
 from importlib.metadata import version
 from pathlib import Path
 
@@ -114,8 +115,17 @@ def simulate_chessboard(
             words = frame_words(scene_seed(config), int(Stream.CHESSBOARD), (_SAMPLES, k))
             grey = kept_array(
                 config.render.cache,
-                (version("testrange"), "chessboard", view, board, settings, words),
+                (
+                    version("testrange"),
+                    "chessboard",
+                    *_seen(view),
+                    board,
+                    scene.scene.materials,
+                    settings.samples,
+                    words,
+                ),
                 lambda: render_board(scene, board, view, settings.samples, words),  # noqa: B023 - called at once
+                config.render.cache_limit_gb,
             )
             noise = generator(config.seed, Stream.CHESSBOARD, _NOISE, k)
             while len(waiting) >= WAITING_FRAMES:
@@ -143,6 +153,13 @@ def board_view(config: Config, camera: Camera, placement: Placement) -> BoardVie
         rotation=placement.rotation,
         translation_m=placement.translation_m,
     )
+
+
+def _seen(view: BoardView) -> tuple[object, ...]:
+    """All of a view that the renderer reads: noise, gain and black level of the camera are not."""
+    camera = view.camera
+    optics = (camera.width_px, camera.height_px, camera.lens, camera.psf_sigma_px)
+    return (*optics, *(getattr(view, field.name) for field in fields(view) if field.name != "camera"))
 
 
 def board_irradiance(placement: Placement, point_m: np.ndarray) -> np.ndarray:

@@ -124,8 +124,9 @@ def sphere_light(config: Config, window: sensor.Window) -> SphereLight:
     seed = scene_seed(config)
     nodes = kept_array(
         config.render.cache,
-        (version("testrange"), "sphere", config.bench.sphere, places, seed),
+        (version("testrange"), "sphere", scene, places, seed),
         lambda: radiance_per_watt(scene, places, seed),
+        config.render.cache_limit_gb,
     ).reshape(down, across)
     columns = _spline_matrix(u, window.column + 0.5 + np.arange(window.width_px))
     rows = _spline_matrix(v, window.row + 0.5 + np.arange(window.height_px))

@@ -17,6 +17,7 @@ from campaign.load import dump_toml, load_config
 from campaign.progress import Report, silent
 from campaign.threads import thread_count
 from evaluator.results import plain
+from simulator.kept import kept_bytes
 from testrange.study.effects import Effects, analyse
 from testrange.study.execution import store
 from testrange.study.execution.callables import resolve
@@ -120,7 +121,7 @@ def run_study(
             effects, page = _write(plan, file, target, rows, _units(study, outcomes.values()), progress)
         if drop_cache:
             shutil.rmtree(cache, ignore_errors=True)
-    size = sum(p.stat().st_size for p in cache.glob("*.npy")) / 1e6 if cache.is_dir() else 0.0
+    size = kept_bytes(cache) / 1e6 if cache.is_dir() else 0.0
     return Done(study=study, plan=plan, out=target, rows=rows, effects=effects, ran=ran, cache_mb=size, page=page)
 
 
