@@ -244,7 +244,8 @@ def expose(
     pattern : FixedPattern
         Of the pixels that are read out: of the window where there is one.
     window : Window, optional
-        What `radiance` and `pattern` show of the sensor; absent: all of it.
+        What `radiance` and `pattern` show of the sensor; absent: all of it. Windows of ROWS_AT_ONCE rows, or a multiple,
+        one below the other and with one generator, give the bytes of the whole.
     dark_e_s : float, optional
         Dark current at the sensor's temperature; absent: as the camera's data state it. [e/s]
 
@@ -328,11 +329,13 @@ def preview(dn: np.ndarray, camera: Camera) -> np.ndarray:
     order = np.argsort([-band.centre_nm for band in camera.bands], kind="stable")
     balance = white_balance(camera)
     steps = np.arange(2**camera.bit_depth)
-    channels = []
-    for band in order:
+    picture = np.empty((*dn.shape[:2], 3), np.uint8)
+    for channel in range(3):
+        band = order[min(channel, len(order) - 1)]
         linear = np.clip((steps - camera.black_level_dn) / (full_scale_dn(camera) * balance[band]), 0, 1)
         curve = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-        channels.append(np.round(255 * curve).astype(np.uint8)[np.minimum(dn[..., band], len(steps) - 1)])
-    while len(channels) < 3:
-        channels.append(channels[-1])
-    return np.stack(channels, axis=-1)
+        value = np.round(255 * curve).astype(np.uint8)
+        for first in range(0, len(dn), ROWS_AT_ONCE):
+            rows = slice(first, first + ROWS_AT_ONCE)
+            picture[rows, :, channel] = value[np.minimum(dn[rows, :, band], len(steps) - 1)]
+    return picture

@@ -9,6 +9,7 @@ Limits: diffuse surfaces (with an opposition peak in the sun's direct light); no
 CIE clear sky in `sky.ROWS` x `sky.COLUMNS` cells; the sun is a uniform disc; pose rates are constant during an exposure.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,6 +49,9 @@ RENDER_STREAM = 9
 EDGE_FACTOR = 4  # pixels at an edge inside a target's box get this many times its samples
 MAX_SAMPLES = 4096
 TILE = 1 << 20  # lanes in flight
+BAND_PIXELS = 1 << 20  # of a band of rows
+ROW_STEP = 16  # bands are whole blocks of the sensor's noise (simulator.sensor.ROWS_AT_ONCE)
+BOX_PIXELS = 1 << 17  # of boxes that are rendered together
 Region = tuple[int, int, int, int, int]
 
 
@@ -78,6 +82,11 @@ class _Job:
     key: tuple[Any, Any]  # random words
 
 
+def band_rows(camera: Camera) -> int:
+    """Rows that `render_bands` gives at a time: about BAND_PIXELS pixels, a multiple of ROW_STEP."""
+    return max(ROW_STEP, BAND_PIXELS // camera.width_px // ROW_STEP * ROW_STEP)
+
+
 def render_frame(
     render_scene: RenderScene,
     camera: Camera,
@@ -89,7 +98,25 @@ def render_frame(
     regions: list[Region],
     tile: int = TILE,
 ) -> np.ndarray:
-    """Radiance of a frame, its point spread and motion blur included.
+    """Radiance of a whole frame (height, width, bands): what `render_bands` gives, in one piece. [W m-2 sr-1 nm-1]"""
+    bands = render_bands(render_scene, camera, pose, light, settings, seed, frame_key, regions, tile)
+    return np.concatenate(list(bands))
+
+
+def render_bands(
+    render_scene: RenderScene,
+    camera: Camera,
+    pose: FramePose,
+    light: SunSky,
+    settings: Render,
+    seed: int,
+    frame_key: tuple[int, ...],
+    regions: list[Region],
+    tile: int = TILE,
+) -> Iterator[np.ndarray]:
+    """Radiance of a frame from its first row to its last, point spread and motion blur included.
+
+    Memory does not grow with the frame but by the boxes' pixels: nobody needs all of it at once.
 
     Parameters
     ----------
@@ -103,10 +130,10 @@ def render_frame(
     tile : int
         Lanes at a time, a power of two of at least 1024; memory, not the picture, depends on it.
 
-    Returns
-    -------
-    (height, width, bands) float32 ndarray
-        [W m-2 sr-1 nm-1]
+    Yields
+    ------
+    (rows, width, bands) float32 ndarray
+        `band_rows` rows, the last time what is left. [W m-2 sr-1 nm-1]
     """
     words = frame_words(seed, RENDER_STREAM, frame_key)
     job = _Job(
@@ -119,43 +146,56 @@ def render_frame(
         key=(mi.UInt32(words[0]), mi.UInt32(words[1])),
     )
     dr.make_opaque(job.key)
-    halo = job.view.halo
-    inside = np.zeros((camera.height_px, camera.width_px), bool)
-    for _, u0, v0, u1, v1 in regions:
-        inside[v0:v1, u0:u1] = True
-    # Pixels are numbered in the image and its halo, so that light from beyond the image's border is a place like any other.
-    picture = np.zeros((camera.height_px + 2 * halo, camera.width_px + 2 * halo, len(camera.bands)), np.float32)
-    number = np.arange(picture.shape[0] * picture.shape[1], dtype=np.uint32).reshape(picture.shape[:2])
-    image = np.s_[halo : halo + camera.height_px, halo : halo + camera.width_px]
-    outside = number[image][~inside]
-    picture.reshape(-1, picture.shape[2])[outside] = _trace(job, outside, settings.samples, 1, tile)
-    rendered = picture[image]
-    if regions:
-        _fill_boxes(job, rendered, regions, max(settings.samples, settings.target_samples), number, tile)
-    return np.ascontiguousarray(rendered)
+    boxes = _boxes(job, regions, max(settings.samples, settings.target_samples), tile)
+    step = band_rows(camera)
+    for first in range(0, camera.height_px, step):
+        last = min(first + step, camera.height_px)
+        inside = np.zeros((last - first, camera.width_px), bool)
+        band = np.empty((*inside.shape, len(camera.bands)), np.float32)
+        for (_, u0, v0, u1, v1), box in zip(regions, boxes, strict=True):
+            low, high = max(v0, first), min(v1, last)
+            if low < high:
+                inside[low - first : high - first, u0:u1] = True
+                band[low - first : high - first, u0:u1] = box[low - v0 : high - v0]
+        pixels = _numbers(job.view, 0, first, camera.width_px, last)[~inside]
+        band[~inside] = _trace(job, pixels, settings.samples, 1, tile)
+        yield band
 
 
-def _fill_boxes(
-    job: _Job, rendered: np.ndarray, regions: list[Region], samples: int, number: np.ndarray, tile: int
-) -> None:
-    """Render the targets' boxes by sub-pixels and write them into the picture."""
-    halo, sigma = job.view.halo, job.view.camera.psf_sigma_px
+def _numbers(view: _View, u0: int, v0: int, u1: int, v1: int) -> np.ndarray:
+    """Numbers (v1 - v0, u1 - u0) uint32 of the pixels of a box, which may reach into the image's halo.
+
+    Light from beyond the image's border comes from a place like any other, so the halo is numbered too.
+    """
+    column = np.arange(u0, u1, dtype=np.int64) + view.halo
+    row = np.arange(v0, v1, dtype=np.int64) + view.halo
+    return (row[:, None] * (view.camera.width_px + 2 * view.halo) + column).astype(np.uint32)
+
+
+def _boxes(job: _Job, regions: list[Region], samples: int, tile: int) -> list[np.ndarray]:
+    """The targets' boxes (v1 - v0, u1 - u0, bands), rendered by sub-pixels; some boxes together, for one wavefront."""
     split = max(k for k in (1, 2, 4) if k * k <= samples)
-    wanted = np.zeros(number.shape, bool)
-    for _, u0, v0, u1, v1 in regions:
-        wanted[v0 : v1 + 2 * halo, u0 : u1 + 2 * halo] = True
-    edges = _edges(job, number, wanted, tile)
-    place = np.full(number.shape, -1, np.int64)
-    place[wanted] = np.arange(np.count_nonzero(wanted))
-    sub = np.empty((np.count_nonzero(wanted), split, split, rendered.shape[2]), np.float32)
-    for mask, count in ((wanted & ~edges, samples), (edges, min(MAX_SAMPLES, EDGE_FACTOR * samples))):
-        pixels = number[mask]
-        sub[place[mask]] = _trace(job, pixels, count // split**2, split, tile).reshape(len(pixels), *sub.shape[1:])
-    for _, u0, v0, u1, v1 in regions:
-        box = sub[place[v0 : v1 + 2 * halo, u0 : u1 + 2 * halo]]
-        height, width = box.shape[:2]
-        fine = box.swapaxes(1, 2).reshape(height * split, width * split, -1)
-        rendered[v0:v1, u0:u1] = fold(fine, sigma, split)
+    halo, sigma = job.view.halo, job.view.camera.psf_sigma_px
+    boxes: list[np.ndarray] = []
+    together: list[np.ndarray] = []
+    for k, (_, u0, v0, u1, v1) in enumerate(regions, start=1):
+        together.append(_numbers(job.view, u0 - halo, v0 - halo, u1 + halo, v1 + halo))
+        if k < len(regions) and sum(number.size for number in together) < BOX_PIXELS:
+            continue
+        pixels = np.concatenate([number.ravel() for number in together])
+        seen = np.concatenate([_identity(job, pixels[k : k + tile]) for k in range(0, len(pixels), tile)])
+        ends = np.cumsum([number.size for number in together])
+        each = [part.reshape(number.shape) for part, number in zip(np.split(seen, ends[:-1]), together, strict=True)]
+        edges = np.concatenate([_edges(part).ravel() for part in each])
+        sub = np.empty((len(pixels), split, split, job.materials.bands), np.float32)
+        for mask, count in ((~edges, samples), (edges, min(MAX_SAMPLES, EDGE_FACTOR * samples))):
+            sub[mask] = _trace(job, pixels[mask], count // split**2, split, tile).reshape(-1, *sub.shape[1:])
+        for part, number in zip(np.split(sub, ends[:-1]), together, strict=True):
+            height, width = number.shape
+            fine = part.reshape(height, width, *sub.shape[1:]).swapaxes(1, 2).reshape(height * split, width * split, -1)
+            boxes.append(fold(fine, sigma, split))
+        together = []
+    return boxes
 
 
 # ---------------------------------------------------------------------------------------------------------------- set-up
@@ -176,22 +216,19 @@ def _view(camera: Camera, pose: FramePose) -> _View:
     return view
 
 
-def _edges(job: _Job, number: np.ndarray, wanted: np.ndarray, tile: int) -> np.ndarray:
-    """Wanted pixels at an edge of what is seen or of a shadow: one of the eight neighbours sees something else.
+def _edges(seen: np.ndarray) -> np.ndarray:
+    """Pixels (h, w) at an edge of what is seen or of a shadow: one of the eight neighbours sees something else.
 
-    Found by one ray through each pixel's centre, the same for any seed: choosing by the samples themselves would bias them.
+    Told by one ray through each pixel's centre, the same for any seed: choosing by the samples themselves would bias them.
     """
-    seen = np.full(number.shape, -1, np.int32)
-    pixels = number[wanted]
-    seen[wanted] = np.concatenate([_identity(job, pixels[k : k + tile]) for k in range(0, len(pixels), tile)])
-    edges = np.zeros(number.shape, bool)
+    edges = np.zeros(seen.shape, bool)
     for low, high in (
         (np.s_[:-1], np.s_[1:]),
         (np.s_[:, :-1], np.s_[:, 1:]),
         (np.s_[:-1, :-1], np.s_[1:, 1:]),
         (np.s_[:-1, 1:], np.s_[1:, :-1]),
     ):
-        differs = (seen[low] != seen[high]) & (seen[low] >= 0) & (seen[high] >= 0)
+        differs = seen[low] != seen[high]
         edges[low] |= differs
         edges[high] |= differs
     return edges
