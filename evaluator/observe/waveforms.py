@@ -1,7 +1,7 @@
 """Echoes in waveform packets: the empirical model waveform decomposition of 8.1.2 e.
 
 A packet is a baseline plus a sum of Gaussians. This module estimates baseline and noise, runs the compiled fits
-(`gaussian_fit.py`) and returns amplitude, centre and width of every echo with their standard deviations. It does not open
+(`gaussians/`) and returns amplitude, centre and width of every echo with their standard deviations. It does not open
 files and does not know panels.
 """
 
@@ -17,6 +17,7 @@ from evaluator.model import EvaluationError
 FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
 _BLOCK = 512  # packets a task; results do not depend on it
 _NOISE_SAMPLE = 4096  # packets from which the noise model is estimated, evenly spread
+_ENOUGH_SINGLE = 400  # packets with one echo, of these, that are enough for it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +87,8 @@ def decompose(
     echo_fwhm_ns : float
         Width of the echo of a flat target, from the data sheet: start value and scale of the limits. [ns]
     shot_dn2_per_dn, shape_error : float, optional
-        Noise that grows with the signal, see `NoiseModel`; estimated from single echoes when absent.
+        Noise that grows with the signal, see `NoiseModel`; estimated when absent, from packets with one echo where there
+        are some hundreds, else from the strongest echoes.
     saturation_dn : float, optional
         Samples at or above this are not used. [DN]
     least_chi2 : float
@@ -108,8 +110,9 @@ def decompose(
     ----------
     GB/T 41450-2022, 8.1.2 e. Wagner et al. (2006), ISPRS J. 60(2), 100-112, doi:10.1016/j.isprsjprs.2005.12.001.
     """
-    from evaluator.observe import gaussian_fit as kernels  # numba loads only where packets are fitted
-    from evaluator.observe.quiet_level import quiet_level
+    from evaluator.observe.gaussians.fit import MAX_ECHOES  # numba loads only where packets are fitted
+    from evaluator.observe.gaussians.quiet_level import quiet_level
+    from evaluator.observe.gaussians.search import decompose_packets
 
     data = np.ascontiguousarray(np.asarray(packets, dtype=np.float64))
     if data.ndim != 2:
@@ -119,8 +122,8 @@ def decompose(
     for name, value in (("sampling_ns", sampling_ns), ("echo_fwhm_ns", echo_fwhm_ns)):
         if not (np.isfinite(value) and value > 0.0):
             raise EvaluationError(f"{name} is not a positive number", got=value)
-    if not 1 <= max_echoes <= kernels.MAX_ECHOES:
-        raise EvaluationError("max_echoes is out of range", got=max_echoes, expected=f"1 to {kernels.MAX_ECHOES}")
+    if not 1 <= max_echoes <= MAX_ECHOES:
+        raise EvaluationError("max_echoes is out of range", got=max_echoes, expected=f"1 to {MAX_ECHOES}")
     if np.isinf(data).any():
         raise EvaluationError("a waveform sample is infinite", expected="finite samples, NaN for none")
     p = data.shape[0]
@@ -143,12 +146,12 @@ def decompose(
             rows: np.ndarray, start: np.ndarray, noise: NoiseModel, moments: np.ndarray, may_grow: bool
         ) -> tuple[np.ndarray, ...]:
             count = rows.shape[0]
-            found = np.full((count, kernels.MAX_ECHOES, 7), np.nan)
+            found = np.full((count, MAX_ECHOES, 7), np.nan)
             counts, summary = np.zeros(count, dtype=np.int64), np.full((count, 4), np.nan)
             width = np.array(width_limits, dtype=np.float64)
 
             def task(block: slice) -> None:
-                kernels.decompose_packets(
+                decompose_packets(
                     rows[block],
                     start[block],
                     int(baseline_dn is None),
@@ -176,12 +179,10 @@ def decompose(
             chosen = np.unique(np.linspace(0, p - 1, min(p, _NOISE_SAMPLE)).astype(np.int64))
             sample = np.ascontiguousarray(data[chosen])
             for _ in range(2):  # the second round fits with the weights that the first one found
-                moments = np.zeros((chosen.size, 6))
-                found, counts, _ = fit(sample, level[chosen], noise, moments, False)
-                # Single echoes as wide as a flat target's, so that two surfaces in one echo are not taken for noise.
-                single = (counts == 1) & (np.abs(found[:, 0, 2] / s0 - 1.0) < 0.1)
-                noise = _noise_model(moments[single], noise.noise_dn, noise_given, shot_dn2_per_dn, shape_error)
-        found, counts, summary = fit(data, level, noise, np.empty((0, 6)), True)
+                moments = np.zeros((chosen.size, 8))
+                fit(sample, level[chosen], noise, moments, False)
+                noise = _noise_model(_telling(moments, s0), noise.noise_dn, noise_given, shot_dn2_per_dn, shape_error)
+        found, counts, summary = fit(data, level, noise, np.empty((0, 8)), True)
     return _collect(found, counts, summary, sampling_ns, noise)
 
 
@@ -194,10 +195,20 @@ def model_packets(echoes: Echoes, sampling_ns: float, samples: int) -> np.ndarra
     return model
 
 
+def _telling(moments: np.ndarray, s0: float) -> np.ndarray:
+    """Rows of packets with one echo; where these are few, also of the strongest echoes among others.
+
+    Only echoes as wide as a flat target's, so that two surfaces in one echo are not taken for noise.
+    """
+    flat = np.abs(moments[:, 6] / s0 - 1.0) < 0.1
+    single = flat & (moments[:, 7] == 1.0)
+    return moments[single if single.sum() >= _ENOUGH_SINGLE else flat]
+
+
 def _noise_model(
     moments: np.ndarray, noise_dn: float, noise_given: float | None, shot: float | None, shape: float | None
 ) -> NoiseModel:
-    """Noise, and how it grows with the signal, from the residuals of single echoes (`decompose_packets`, moments).
+    """Noise, and how it grows with the signal, from the residuals of echoes that stand alone (`gaussians.noise`, moments).
 
     Mean squares under the echo are compared over amplitude: photon noise grows with it, the error of the shape with its
     square. Medians over packets of alike amplitude, so that a few packets with a hidden second surface do not count.

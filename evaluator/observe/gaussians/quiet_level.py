@@ -1,4 +1,4 @@
-"""Compiled kernel: baseline and noise of each waveform packet. The fits are in `gaussian_fit.py`."""
+"""Compiled kernel: baseline and noise of each waveform packet. The fits are in `fit`."""
 
 import math
 
