@@ -144,7 +144,8 @@ def _stack(problem: Problem, index: dict[str, int], kind: str) -> _Stack:
         values, covariance = [o.uv_px for o in marks], [o.covariance_px2 for o in marks]
     elif kind == "vertex":
         observations, of = vertices, [o.target for o in vertices]
-        values, covariance = [o.point_lidar_m for o in vertices], [o.covariance_m2 for o in vertices]
+        values = [o.point_lidar_m for o in vertices]
+        covariance = [o.covariance_m2 + scan_drift_m2(o, problem.rig.navigation) * np.eye(3) for o in vertices]
     else:
         observations, of = planes, [o.panel for o in planes]
         values, covariance = [o.point_lidar_m for o in planes], [np.array([[o.std_m**2]]) for o in planes]
@@ -162,6 +163,21 @@ def _stack(problem: Problem, index: dict[str, int], kind: str) -> _Stack:
         covariance=np.array(covariance).reshape(n, k, k),
         **_poses(problem, time, sortie, rates=sheet.clock_std_s > 0.0),
     )
+
+
+def scan_drift_m2(vertex: VertexObservation, sheet: NavigationSheet) -> float:
+    """Variance of a vertex because the navigation's errors change while its faces are scanned, one after the other. [m2]
+
+    Two opposite faces, each seen in one half of the scan of D seconds, put the vertex half the difference of the halves' mean
+    errors off, along the beam as well. For errors of random walk that change by 2 s^2 t / T in t seconds this half has the variance
+    s^2 D / (6 T); it never exceeds s^2.
+    """
+    tilt = np.radians(np.asarray(sheet.attitude_std_deg[:2]))
+    of_tilt, of_place = (
+        -np.expm1(-vertex.time_spread_s / (6.0 * t)) for t in (sheet.attitude_correlation_s, sheet.position_correlation_s)
+    )
+    turned = float(np.mean(tilt**2)) * float(vertex.point_lidar_m @ vertex.point_lidar_m)
+    return float(turned * of_tilt + np.mean(np.square(sheet.position_std_m)) * of_place)
 
 
 def _poses(problem: Problem, time_s: np.ndarray, sortie: np.ndarray, *, rates: bool) -> dict[str, np.ndarray]:

@@ -7,9 +7,10 @@ from campaign.manifest import Manifest
 from campaign.sensors import LidarSheet
 from campaign.survey import SurveyedTarget
 from campaign.trajectory import Trajectory
+from evaluator.algorithms.slots import VertexTask
 from evaluator.frames import WorldFrame, body_pose, euler_rotation
 from evaluator.model import Mounting, VertexObservation
-from evaluator.observe.frustums import find_vertex, frustum_model
+from evaluator.observe.frustums import find_vertex, fit_vertex, frustum_model
 
 FRAME = WorldFrame(
     Manifest(
@@ -214,6 +215,36 @@ def test_thin_cloud_is_refused_with_the_reason() -> None:
     found, _, _ = scan(1, 0.005, thin=8)
     assert isinstance(found, str)
     assert "returns" in found or "faces" in found
+
+
+def test_two_opposite_faces_have_no_vertex() -> None:
+    """Rationale: two planes meet in a line; the equations are then singular. Expected: refusal with the number of faces, whether
+    the search begins at the surveyed place or not."""
+    rng = np.random.default_rng(3)
+    run, side = rng.uniform(0.26, 0.49, 300) * 0.8, rng.choice([-1.0, 1.0], 300)
+    hit = np.stack([0.2 * run * rng.uniform(-1, 1, 300), side * run, run * np.sqrt(2.0)], axis=-1)
+    direction = np.array([0.0, 0.0, -1.0]) + rng.normal(0.0, 0.01, (300, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    normals = frustum_model(surveyed(np.zeros(3)), FRAME).normals
+    for located in (False, True):
+        found = fit_vertex(
+            VertexTask(
+                origin_m=hit - 40.0 * direction,
+                direction=direction,
+                range_m=np.full(300, 40.0),
+                single_return=np.ones(300, dtype=bool),
+                long_edge_m=0.8,
+                inverted=True,
+                thickness_m=0.0,
+                normals=normals,
+                face_angle_std_rad=0.0017,
+                range_std_m=0.005,
+                encoder_std_rad=0.0,
+                footprint_m=0.01,
+                located=located,
+            )
+        )
+        assert isinstance(found, str) and "2 faces" in found, found
 
 
 def test_ground_alone_holds_no_funnel() -> None:
