@@ -2,8 +2,9 @@
 
 tree       boxes over the scene's triangles
 fan        which triangles each beam's cone touches
-cone       what its footprint sees of them, as a few echoes
-caster     the three together, for a scene and a LiDAR
+surface    what it sees of one smooth surface, or of two that meet in an edge
+cone       what it sees of anything else, as a few echoes
+caster     the four together, for a scene and a LiDAR
 sampling   echoes to samples, noise, whole steps
 rows       detected echoes to rows
 

@@ -1,4 +1,4 @@
-"""A scene and a LiDAR, ready to be asked what beams see of it. The kernels are `fan` and `cone`."""
+"""A scene and a LiDAR, ready to be asked what beams see of it. The kernels are `fan`, `surface` and `cone`."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,8 +7,9 @@ import numpy as np
 
 from scenes.model import Mesh
 from simulator.footprint import Footprint, Optics, gaussian_footprint
-from simulator.pulses.cone import nearest_hit, see
+from simulator.pulses.cone import nearest_hit, see_mixed
 from simulator.pulses.fan import touch
+from simulator.pulses.surface import see_surfaces
 from simulator.pulses.tree import tree_of
 from simulator.radar_equation import SPEED_OF_LIGHT_M_S
 
@@ -17,7 +18,7 @@ FEW = 61  # sub-rays where a footprint's triangles are one creased surface
 
 @dataclass(frozen=True, kw_only=True)
 class Seen:
-    """Echoes of n beams before noise; see `cone.see`. Rows are triangles in the tree's order: `Caster.face` has their numbers."""
+    """Echoes of n beams before noise. Rows are triangles in the order of the tree."""
 
     echo: np.ndarray  # (e, 3) float64: peak [DN], range [m], added variance [m2]
     first: np.ndarray  # (n,) int64: of each pulse's rows in `echo`
@@ -47,22 +48,22 @@ class Caster:
         self._tree = tree
         self._touch = (tree.box.ravel(), tree.level, tree.block.ravel(), len(tree.corner))
         self._reach = float(np.hypot(offset[:, 0], offset[:, 1]).max())
-        self._see: tuple[Any, ...] = (
-            tree.corner,
-            np.ascontiguousarray(backscatter[mesh.material[tree.face]], np.float64),
-            _rays(gaussian_footprint(FEW, 4.0 * pattern.spread_rad) if len(pattern.weight) > FEW else pattern),
-            _rays(pattern),
-            self._reach,
-            pattern.spread_rad,
-            optics.scale_dn_m2,
-            optics.extinction_per_m,
-            0.5e-9 * SPEED_OF_LIGHT_M_S * optics.echo_sigma_ns,
-        )
+        rho = np.ascontiguousarray(backscatter[mesh.material[tree.face]], np.float64)
+        power = (optics.scale_dn_m2, optics.extinction_per_m, 0.5e-9 * SPEED_OF_LIGHT_M_S * optics.echo_sigma_ns)
+        few = gaussian_footprint(FEW, 4.0 * pattern.spread_rad) if len(pattern.weight) > FEW else pattern
+        self._surfaces: tuple[Any, ...] = (tree.corner, tree.plane, rho, self._reach, pattern.spread_rad, *power)
+        self._mixed: tuple[Any, ...] = (tree.corner, tree.plane, rho, _rays(few), _rays(pattern), *power)
 
     def see(self, origin_m: np.ndarray, direction: np.ndarray, stride: int = 1) -> Seen:
         """(n, 3) and (n, 3) float64; pulses i and i + stride are neighbours."""
-        touched = touch(origin_m, direction, stride, self._reach, *self._touch)
-        echo, first, count, extent_m, axis_row, slot, hit_m, hit_row = see(origin_m, direction, *touched, *self._see)
+        touch_first, touch_count, touch_row, whole = touch(origin_m, direction, stride, self._reach, *self._touch)
+        touched = (touch_first, touch_count, touch_row)
+        echo, echoes, first, count, extent_m, axis_row, left = see_surfaces(
+            origin_m, direction, *touched, whole, *self._surfaces
+        )
+        echo, slot, hit_m, hit_row = see_mixed(
+            origin_m, direction, left, *touched, echo, echoes, first, count, extent_m, axis_row, *self._mixed
+        )
         return Seen(
             echo=echo,
             first=first,

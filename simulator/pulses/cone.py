@@ -1,9 +1,7 @@
-"""What a beam's footprint sees of the triangles that its cone touches: a few echoes of known range, power and spread.
+"""What a beam's footprint sees where closed forms end (`surface`): a few echoes of known range, power and spread.
 
-A cone inside one triangle, with nothing before it, sees a smooth surface: its echo is the closed form of a Gaussian beam on a
-tilted plane. Every other cone is filled with sub-rays, few where the triangles are one creased surface of one material, the full
-pattern where they are not; the sub-rays on one triangle become one echo, which has the sum of their powers and the mean and
-variance of their ranges.
+The cone is filled with sub-rays, few where the triangles are one bent surface of one material, the full pattern where they are
+not; the sub-rays on one triangle become one echo, which has the sum of their powers and the mean and variance of their ranges.
 """
 
 import math
@@ -11,7 +9,6 @@ import math
 import numba
 import numpy as np
 
-CURVED = 0.02  # reach times tangent of incidence from which the closed form's next terms would show
 MERGE = 0.06  # echoes closer than this part of the pulse's length are one
 SLICE = 0.8  # a surface's echo is cut where it spreads over more than this part of the pulse's length
 BENT = 0.1  # largest difference of cosines across a crease that few sub-rays resolve
@@ -84,35 +81,17 @@ def _moments(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _plane(corner: np.ndarray, t: int, ox: float, oy: float, oz: float) -> tuple[float, float, float, float]:
-    """Unit normal of a triangle, and its plane's height over the beam's origin along it. [m]"""
-    ax, ay, az = float(corner[t, 0]), float(corner[t, 1]), float(corner[t, 2])
-    ex, ey, ez = corner[t, 3] - ax, corner[t, 4] - ay, corner[t, 5] - az
-    fx, fy, fz = corner[t, 6] - ax, corner[t, 7] - ay, corner[t, 8] - az
-    nx, ny, nz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
-    size = math.sqrt(nx * nx + ny * ny + nz * nz)
-    scale = 0.0 if size == 0.0 else 1.0 / size
-    nx, ny, nz = nx * scale, ny * scale, nz * scale
-    return nx, ny, nz, nx * (ax - ox) + ny * (ay - oy) + nz * (az - oz)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _hidden(corner: np.ndarray, t: int, cover: int, ox: float, oy: float, oz: float) -> bool:
-    """Whether triangle t lies behind the plane of another that covers the cone."""
-    nx, ny, nz, height = _plane(corner, cover, ox, oy, oz)
-    sign = math.copysign(1.0, height)
-    for k in range(0, 9, 3):
-        x, y, z = corner[t, k] - ox, corner[t, k + 1] - oy, corner[t, k + 2] - oz
-        if sign * (nx * x + ny * y + nz * z) < abs(height) - 1e-5:
-            return False
-    return True
+def _over(plane: np.ndarray, t: int, origin: np.ndarray) -> float:
+    """Height of a triangle's plane over the beam's origin, along its normal. [m]"""
+    height: float = plane[t, 3] - plane[t, 0] * origin[0] - plane[t, 1] * origin[1] - plane[t, 2] * origin[2]
+    return height
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fill(
     corner: np.ndarray,
+    plane: np.ndarray,
     touching: np.ndarray,
-    touched: int,
     origin: np.ndarray,
     axis: np.ndarray,
     u: np.ndarray,
@@ -134,9 +113,9 @@ def _fill(
     edge, q = np.empty(9, np.float32), np.empty(3, np.float32)
     nearest[:] = np.float32(0.0)
     who[:] = -1
-    for j in range(touched):
+    for j in range(len(touching)):
         t = touching[j]
-        nx, ny, nz, height = _plane(corner, t, origin[0], origin[1], origin[2])
+        nx, ny, nz, height = plane[t, 0], plane[t, 1], plane[t, 2], _over(plane, t, origin)
         kappa[j] = abs(height)
         if height == 0.0:
             continue
@@ -173,16 +152,16 @@ def _add(echo: np.ndarray, begin: int, count: int, peak: float, range_m: float, 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _bent(corner: np.ndarray, rho: np.ndarray, touching: np.ndarray, origin: np.ndarray, axis: np.ndarray) -> bool:
+def _bent(plane: np.ndarray, rho: np.ndarray, touching: np.ndarray, origin: np.ndarray, axis: np.ndarray) -> bool:
     """Whether all triangles that the cone touches are one surface of one material, creased but not broken.
 
     Then what the few sub-rays do not resolve changes the amplitude by their share of the energy times the cosines' difference.
     """
     low_m, high_m, low, high = np.inf, -np.inf, np.inf, -np.inf
     for j in range(len(touching)):
-        nx, ny, nz, height = _plane(corner, touching[j], origin[0], origin[1], origin[2])
-        cosine = nx * axis[0] + ny * axis[1] + nz * axis[2]
-        range_m = height / cosine
+        t = touching[j]
+        cosine = plane[t, 0] * axis[0] + plane[t, 1] * axis[1] + plane[t, 2] * axis[2]
+        range_m = _over(plane, t, origin) / cosine
         low_m, high_m = min(low_m, range_m), max(high_m, range_m)
         low, high = min(low, abs(cosine)), max(high, abs(cosine))
         if not range_m > 0.0 or rho[touching[j]] != rho[touching[0]]:
@@ -198,117 +177,63 @@ def _longer(echo: np.ndarray, used: int) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def see(
+def see_mixed(
     origin: np.ndarray,
     direction: np.ndarray,
+    left: np.ndarray,
     touch_first: np.ndarray,
     touch_count: np.ndarray,
     touch_row: np.ndarray,
-    touch_whole: np.ndarray,
+    echo: np.ndarray,
+    echoes: int,
+    first: np.ndarray,
+    count: np.ndarray,
+    extent_m: np.ndarray,
+    axis_row: np.ndarray,
     corner: np.ndarray,
+    plane: np.ndarray,
     rho: np.ndarray,
     few: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     full: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    reach: float,
-    spread: float,
     scale: float,
     extinction: float,
     pulse_m: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Echoes of n beams before noise.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Echoes of the beams `left` over by `surface.see_surfaces`, before noise; its results are completed.
 
     Parameters
     ----------
-    origin, direction : (n, 3) ndarray
-        World frame; unit directions. [m]
-    touch_first, touch_count, touch_row, touch_whole : ndarray
-        See `fan.touch`.
-    corner : (t, 9) ndarray, float32
-        Vertices in the tree's order. [m]
-    rho : (t,) ndarray
-        pi times the BRDF towards the source, in the tree's order.
     few, full : (s,) ndarrays, float32
         Two patterns of sub-rays: slopes u and v across the beam, the axis first; length of the sub-ray's direction; share of the
         energy over its cube.
-    reach, spread : float
-        Of the outermost sub-ray; standard deviation of the beam about one axis, a quarter of its divergence. [rad]
-    scale, extinction : float
-        Peak of an echo of rho cos = 1 at 1 m [DN m2]; one way [1/m].
-    pulse_m : float
-        Standard deviation of the echo of a flat target, as range. [m]
+
+    The others: see `surface.see_surfaces`. Where the axis hits nothing, the innermost sub-ray that hits stands for it.
 
     Returns
     -------
     echo : (e, 3) float64
-        Peak if the echo had not been broadened [DN], range [m], variance that is added to the pulse's [m2].
-    first, count : (n,) int64, int32
-        Rows of `echo` of each pulse.
-    extent_m : (n, 3) float64
-        Innermost sub-ray that hits, nearest, farthest; NaN where nothing is hit. [m]
-    axis_row : (n,) int64
-        Triangle that the innermost hits, in the tree's order; -1 none.
+        With the rows of these beams.
     slot : (n,) int32
         Row in the next two arrays of a footprint whose surfaces lie apart, else -1.
     hit_m, hit_row : (k, s) float32, int32
         Range and triangle of each of its sub-rays; -1 where nothing is hit.
     """
-    n, most = len(origin), len(full[0])
-    first, count = np.zeros(n, np.int64), np.zeros(n, np.int32)
-    echo = np.empty((2 * n + 64, 3))
-    echoes = 0
-    extent_m = np.full((n, 3), np.nan)
-    axis_row, slot = np.full(n, -1, np.int64), np.full(n, -1, np.int32)
+    most, slots = len(full[0]), 0
+    slot = np.full(len(origin), -1, np.int32)
     hit_m, hit_row = np.empty((16, most), np.float32), np.empty((16, most), np.int32)
-    slots = 0
-    kappa = np.empty(64)
-    work = np.empty((3, most), np.float32)
-    place = np.empty(most, np.int32)
-    for i in range(n):
+    kappa, work, place = np.empty(64), np.empty((3, most), np.float32), np.empty(most, np.int32)
+    for i in left:
         touched = touch_count[i]
-        if touched == 0:
-            continue
         touching = touch_row[touch_first[i] : touch_first[i] + touched]
-        whole = touch_whole[touch_first[i] : touch_first[i] + touched]
-        dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
-        ox, oy, oz = origin[i, 0], origin[i, 1], origin[i, 2]
+        if touched > len(kappa):
+            kappa = np.empty(2 * touched)
         first[i] = echoes
-        # ---- smooth: a Gaussian beam on a tilted plane ----
-        cover, range_m, cosine = -1, np.inf, 1.0
-        for j in range(touched):
-            if whole[j]:
-                nx, ny, nz, height = _plane(corner, touching[j], ox, oy, oz)
-                along = nx * dx + ny * dy + nz * dz
-                if height / along < range_m:
-                    cover, range_m, cosine = touching[j], height / along, abs(along)
-        tangent = math.sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, 1e-9)
-        smooth = cover >= 0 and reach * tangent < CURVED
-        for j in range(touched):
-            if smooth and touching[j] != cover:
-                smooth = _hidden(corner, touching[j], cover, ox, oy, oz)
-        if echoes + 8 > len(echo):
-            echo = _longer(echo, echoes)
-        if smooth:
-            tilt = (tangent * spread) ** 2
-            peak = scale * rho[cover] * cosine / range_m**2 * (1.0 + 3.0 * tilt - 3.0 * spread**2)
-            echo[echoes, 0] = peak * math.exp(-2.0 * extinction * range_m)
-            echo[echoes, 1] = range_m * (1.0 - 2.0 * tilt + spread**2)
-            echo[echoes, 2] = tilt * range_m**2
-            count[i] = 1
-            echoes += 1
-            extent_m[i, 0] = range_m
-            extent_m[i, 1] = range_m * (1.0 - reach * tangent)
-            extent_m[i, 2] = range_m * (1.0 + reach * tangent)
-            axis_row[i] = cover
-            continue
-        # ---- mixed: sub-rays, few of them on one bent surface ----
         u, v, length, share = full
-        if _bent(corner, rho, touching, origin[i], direction[i]):
+        if _bent(plane, rho, touching, origin[i], direction[i]):
             u, v, length, share = few
         subrays = len(u)
         nearest, sub_m, power, who = work[0, :subrays], work[1, :subrays], work[2, :subrays], place[:subrays]
-        if touched > len(kappa):
-            kappa = np.empty(2 * touched)
-        _fill(corner, touching, touched, origin[i], direction[i], u, v, kappa, nearest, who)
+        _fill(corner, plane, touching, origin[i], direction[i], u, v, kappa, nearest, who)
         _ranges(nearest, length, share, sub_m, power)
         for s in range(subrays):
             if who[s] >= 0:
@@ -353,7 +278,7 @@ def see(
                 hit_m[slots, s] = sub_m[s]
             slot[i] = slots
             slots += 1
-    return echo, first, count, extent_m, axis_row, slot, hit_m[:slots], hit_row[:slots]
+    return echo, slot, hit_m[:slots], hit_row[:slots]
 
 
 @numba.njit(cache=True, nogil=True)

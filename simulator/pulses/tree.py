@@ -4,6 +4,7 @@ Triangles are put in an order in which 32 in a row are neighbours; 32 blocks sha
 tree has no pointers, and a test of 32 boxes or triangles is a handful of vector instructions.
 """
 
+import math
 import weakref
 from dataclasses import dataclass
 
@@ -18,6 +19,7 @@ class Tree:
     """t triangles; vertices as single precision holds them, as every ray tracer does."""
 
     corner: np.ndarray  # (t, 9) float32: three vertices, in the tree's order [m]
+    plane: np.ndarray  # (t, 4) float64: unit normal, and its product with a point of the plane [m]
     face: np.ndarray  # (t,) int64: number in the mesh
     block: np.ndarray  # (b, 9, 32) float32: the same vertices by blocks; past the last triangle, the first one again
     box: np.ndarray  # (m, 6, 32) float32: centre and half size of 32 nodes; a missing node's half size is negative [m]
@@ -61,11 +63,28 @@ def build_tree(vertices_m: np.ndarray, faces: np.ndarray) -> Tree:
         low, high = np.minimum.reduceat(low, start), np.maximum.reduceat(high, start)
     return Tree(
         corner=corner,
+        plane=_planes(corner),
         face=order,
         block=np.ascontiguousarray(filled.reshape(-1, WIDE, 9).transpose(0, 2, 1)),
         box=np.ascontiguousarray(np.concatenate(boxes)),
         level=np.array(level, np.int64),
     )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _planes(corner: np.ndarray) -> np.ndarray:
+    """(t, 9) -> (t, 4); zeros for a triangle without an area."""
+    out = np.empty((len(corner), 4))
+    for t in range(len(corner)):
+        ax, ay, az = float(corner[t, 0]), float(corner[t, 1]), float(corner[t, 2])
+        ex, ey, ez = corner[t, 3] - ax, corner[t, 4] - ay, corner[t, 5] - az
+        fx, fy, fz = corner[t, 6] - ax, corner[t, 7] - ay, corner[t, 8] - az
+        nx, ny, nz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
+        size = math.sqrt(nx * nx + ny * ny + nz * nz)
+        scale = 0.0 if size == 0.0 else 1.0 / size
+        out[t, 0], out[t, 1], out[t, 2] = nx * scale, ny * scale, nz * scale
+        out[t, 3] = out[t, 0] * ax + out[t, 1] * ay + out[t, 2] * az
+    return out
 
 
 @numba.njit(cache=True, nogil=True)
