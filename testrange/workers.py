@@ -1,4 +1,5 @@
-"""Several processes simulate one campaign: each takes every n-th picture, strip or scan; the parent fills gaps, does the rest."""
+"""Several processes, or a cluster, simulate one campaign: each takes every n-th picture, strip or scan; the parent fills gaps and
+does the rest."""
 
 import contextlib
 import multiprocessing
@@ -18,15 +19,35 @@ POLL_S = 0.5
 
 
 def simulate_units(
-    config: Config, folder: Path, journal: Path, progress: Report, only: frozenset[str] | None = None, workers: int = 1
+    config: Config,
+    folder: Path,
+    journal: Path,
+    progress: Report,
+    only: frozenset[str] | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
 ) -> None:
-    """Complete the campaign `folder`, of which `journal` knows what is finished. The bytes do not depend on `workers`.
+    """Complete the campaign `folder`, of which `journal` knows what is finished. The bytes do not depend on who makes it.
 
     A worker that dies leaves its units to the parent, which makes what is missing and writes everything else.
+
+    Parameters
+    ----------
+    scheduler : str, optional
+        Address of a Dask scheduler, whose workers take the place of processes here; all must see `folder` under this path.
+
+    Raises
+    ------
+    ClusterError
+        See `testrange.cluster`.
     """
     from simulator.simulate import simulate_campaign
 
-    if workers > 1:
+    if scheduler is not None:
+        from testrange.cluster import share_on_cluster
+
+        share_on_cluster(config, folder, journal, progress, only, scheduler, _unit_count(config, only))
+    elif workers > 1:
         _share(config, folder, journal, progress, only, workers)
     simulate_campaign(config, folder, progress, only, Journal(folder, journal))
 

@@ -19,7 +19,7 @@ class Cluster:
     """A scheduler that somebody started. Implements `schedule.Places`."""
 
     def __init__(self, address: str, run: Callable[[Task], Outcome] = run_point) -> None:
-        self._client, self._wait = _connect(address)
+        self._client, self._wait = connect(address)
         self._address = address
         self._given = 0
         self._run = run
@@ -76,7 +76,7 @@ class Cluster:
             return None
 
 
-def _connect(address: str) -> tuple[Any, Any]:
+def connect(address: str) -> tuple[Any, Any]:
     """The client, and the function that waits for its futures."""
     try:
         import distributed

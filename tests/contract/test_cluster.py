@@ -1,0 +1,159 @@
+"""A campaign that a Dask cluster shares has the bytes of one process's; what goes wrong with the cluster costs nothing."""
+
+import hashlib
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from campaign.config import Config
+from campaign.resume import resumable_folder
+from simulator.journal import Journal, finished_units
+from testrange import cluster as on_cluster
+from testrange.cluster import ClusterError, make_share
+from testrange.progress import no_progress
+from testrange.study.execution import cluster as connection
+from testrange.workers import simulate_units
+
+distributed = pytest.importorskip("distributed")
+RELEASE = version("testrange")
+
+
+def digests(folder: Path) -> dict[str, str]:
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+@pytest.fixture
+def cluster() -> Iterator[Any]:
+    """A scheduler with two workers of one thread, each its own process, on loopback."""
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+    ) as started:
+        yield started
+
+
+def begin(folder: Path) -> tuple[Path, Path]:
+    (folder / "work").mkdir(parents=True)
+    return folder / "work", folder / "journal"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kill", [False, True])
+def test_a_cluster_writes_the_same_campaign(
+    micro_campaign: Path, micro: Callable[..., Config], tmp_path: Path, cluster: Any, kill: bool
+) -> None:
+    """Rationale: a laboratory's machines share a disk; who made which picture must not show, and nodes are lost.
+
+    Expected: every file as one process writes it, also where both workers are killed by kill -9 after the tenth unit; the parent
+    finds at least that many units finished; nothing but folder and journal is left. Tolerance: none, bytes.
+    """
+    folder, journal = begin(tmp_path)
+    made: list[int] = []
+    killed = threading.Event()
+
+    def watch(stage: str, done: int, total: int) -> None:
+        if "cluster" in stage:
+            made.append(done)
+            if kill and done >= 10 and not killed.is_set():
+                killed.set()
+                for worker in cluster.workers.values():
+                    os.kill(worker.pid, signal.SIGKILL)
+
+    simulate_units(micro(), folder, journal, watch, scheduler=cluster.scheduler_address)
+    assert killed.is_set() is kill
+    assert max(made[:-1]) >= 10
+    assert digests(folder) == digests(micro_campaign)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["journal", "work"]
+
+
+def test_a_scheduler_that_does_not_answer_costs_nothing(
+    micro: Callable[..., Config], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: the command that goes on after an interrupt may meet a cluster that is down. Expected: one line, and what was made
+    before is still there."""
+    monkeypatch.setattr(connection, "CONNECT_S", 0.5)
+    with pytest.raises(KeyboardInterrupt), resumable_folder(tmp_path / "out", "task") as work:
+        (work.folder / "made").write_text("hours")
+        raise KeyboardInterrupt
+    with (
+        pytest.raises(ClusterError, match="no Dask scheduler answers") as told,
+        resumable_folder(tmp_path / "out", "task") as work,
+    ):
+        simulate_units(micro(), work.folder, work.journal, no_progress, scheduler="tcp://127.0.0.1:9")
+    assert "\n" not in str(told.value)
+    assert (tmp_path / ".out.part" / "folder" / "made").read_text() == "hours"
+
+
+def test_without_the_extra(micro: Callable[..., Config], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Expected: the error names what to install."""
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    folder, journal = begin(tmp_path)
+    with pytest.raises(ClusterError, match=r"testrange\[cluster\]"):
+        simulate_units(micro(), folder, journal, no_progress, scheduler="tcp://127.0.0.1:9")
+
+
+def test_a_worker_that_cannot(micro: Callable[..., Config], tmp_path: Path) -> None:
+    """Rationale: without a shared file system every share would be made somewhere else and lost, and another release writes other
+    bytes. Expected: both are told in words, and nothing is written."""
+    body, place = micro().model_dump_json(), (str(tmp_path / "work"), str(tmp_path / "journal-0"), "token")
+    assert "does not see" in str(make_share(body, place, None, (0, 2), RELEASE))
+    (tmp_path / on_cluster.TOKEN).write_text("another run's")
+    assert "does not see" in str(make_share(body, place, None, (0, 2), RELEASE))
+    assert "0.0.1 here" in str(make_share(body, place, None, (0, 2), "0.0.1"))
+    assert [p.name for p in tmp_path.iterdir()] == [on_cluster.TOKEN]
+
+
+def test_a_share_stops_when_its_run_has_ended(
+    micro: Callable[..., Config], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: Dask cannot end a task that runs, and another command may be at work on the folder by then. Expected: the share
+    ends at the next step after its run's token is gone, and does not fail."""
+    steps = []
+
+    def simulate(config: Config, folder: Path, progress: Callable[..., None], only: object, journal: Journal) -> None:
+        assert journal.shares
+        for k in range(5):
+            steps.append(k)
+            if k == 2:
+                (tmp_path / on_cluster.TOKEN).unlink()
+            progress("camera", k, 5)
+
+    monkeypatch.setattr("simulator.simulate.simulate_campaign", simulate)
+    monkeypatch.setattr(on_cluster, "_threads", lambda: 1)
+    monkeypatch.setenv("TESTRANGE_THREADS", "1")
+    (tmp_path / on_cluster.TOKEN).write_text("token")
+    place = (str(tmp_path), str(tmp_path / "journal-0"), "token")
+    assert make_share(micro().model_dump_json(), place, None, (0, 2), RELEASE) is None
+    assert steps == [0, 1, 2]
+
+
+def test_journals_of_shares_are_put_together(tmp_path: Path) -> None:
+    """Rationale: a run that was killed leaves its shares' journals, one of them cut. Expected: every whole line counts once,
+    the share begins with what is known, and nothing is left beside the journal."""
+    root, journal = begin(tmp_path)
+    for name in ("a", "b", "c"):
+        (root / name).write_text("x")
+    Journal(root, journal).finish("a", [root / "a"])
+    left = tmp_path / "journal-7"
+    left.write_bytes(journal.read_bytes())
+    Journal(root, left).finish("b", [root / "b"])
+    left.write_bytes(left.read_bytes() + b'{"unit": "c", "fi')
+    own = tmp_path / "journal-0"
+    with on_cluster._run_of(journal, [own]) as token:
+        assert token == (tmp_path / on_cluster.TOKEN).read_text()
+        assert finished_units(root, own) == 2
+        share = Journal(root, own)
+        assert [share.wants(name) for name in "abc"] == [False, False, True]
+        share.finish("c", [root / "c"])
+    assert finished_units(root, journal) == 3
+    lines = [line for line in journal.read_bytes().splitlines() if line.endswith(b"}}")]
+    assert sorted(json.loads(line)["unit"] for line in lines) == ["a", "b", "c"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["journal", "work"]
