@@ -1,13 +1,13 @@
 """The camera in flight: every exposure rendered, developed and written. Light and paths are the renderer's, noise the sensor's.
 
-Rendering keeps both cores busy; noise and files of the frame before are made meanwhile on a second thread.
+A frame goes by in bands of rows: rendering keeps both cores busy, noise and files of the bands before are made meanwhile on a
+second thread, and no more of a frame is in memory than its numbers.
 """
 
-import hashlib
-import os
 from collections import deque
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -22,13 +22,27 @@ from simulator import camera as camera_maths
 from simulator import record_truth, rig, sensor
 from simulator.frames import rpy_from_rotation
 from simulator.journal import Journal
+from simulator.kept import kept_blocks
 from simulator.motion import Motion, Strip
 from simulator.randomness import Stream, generator
-from simulator.render.radiance import render_frame
-from simulator.ripple import rippled
+from simulator.render.radiance import band_rows, render_bands
+from simulator.ripple import rippled_rows
 from simulator.world import Range, light_at
 
-WAITING_FRAMES = 2  # rendered frames that may wait for noise and file: bounds the memory
+WAITING_BANDS = 8  # rendered bands that may wait for noise and file: bounds the memory
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Frame:
+    """A picture that is being developed."""
+
+    config: Config
+    exposing: sensor.Exposing
+    fixed_pattern: sensor.FixedPattern
+    noise: np.random.Generator
+    dn: np.ndarray  # (h, w, bands) uint16, filled from its first row on
+    path: Path  # without ending
+    tags: images.ImageTags
 
 
 def fly_camera(world: Range, place: CampaignFolder, progress: Report, journal: Journal) -> None:
@@ -58,25 +72,23 @@ def fly_camera(world: Range, place: CampaignFolder, progress: Report, journal: J
             if not journal.wants(image):
                 progress("camera", done, len(frames))
                 continue
-            radiance = _radiance(world, pose, strip, index, time)
-            tags = _tags(world, estimated, time + config.faults.camera_clock_s, exposing.exposure_time_s)
-            noise = generator(config.seed, Stream.CAMERA_NOISE, sortie.number, strip.number, index)
-            while len(waiting) >= WAITING_FRAMES:
-                waiting.popleft().result()
-            waiting.append(
-                writer.submit(
-                    _develop,
-                    config,
-                    exposing,
-                    fixed_pattern,
-                    radiance,
-                    noise,
-                    folder.images / name,
-                    tags,
-                    image,
-                    journal,
-                )
+            camera = config.camera
+            frame = _Frame(
+                config=config,
+                exposing=exposing,
+                fixed_pattern=fixed_pattern,
+                noise=generator(config.seed, Stream.CAMERA_NOISE, sortie.number, strip.number, index),
+                dn=np.empty((camera.height_px, camera.width_px, len(camera.bands)), np.uint16),
+                path=folder.images / name,
+                tags=_tags(world, estimated, time + config.faults.camera_clock_s, exposing.exposure_time_s),
             )
+            first = 0
+            for radiance in _rippled(_radiance(world, pose, strip, index, time), config, name):
+                while len(waiting) >= WAITING_BANDS:
+                    waiting.popleft().result()
+                waiting.append(writer.submit(_develop, frame, first, radiance))
+                first += len(radiance)
+            waiting.append(writer.submit(_write, frame, image, journal))
             progress("camera", done, len(frames))
         for future in waiting:
             future.result()
@@ -102,52 +114,60 @@ def fly_camera(world: Range, place: CampaignFolder, progress: Report, journal: J
     truth_files.write_marks(place.truth / "marks.csv", marks)
 
 
-def _radiance(world: Range, pose: camera_maths.FramePose, strip: Strip, index: int, time: float) -> np.ndarray:
-    """Radiance of one frame, rendered or out of the cache."""
-    config = world.config
+def _radiance(
+    world: Range, pose: camera_maths.FramePose, strip: Strip, index: int, time: float
+) -> Iterator[np.ndarray]:
+    """Radiance of one frame in bands of rows, rendered or out of the cache, whose key is all that the renderer reads."""
+    config, scene = world.config, world.scene
+    camera, settings = config.camera, config.render
     seed = config.seed if config.scene_seed is None else config.scene_seed
     light = light_at(world, time)
     key = (strip.sortie, strip.number, index)
-    cached = None
-    if config.render.cache is not None:
-        digest = hashlib.sha256(repr((version("testrange"), seed, key, config.render.samples)).encode())
-        digest.update(repr((config.render.target_samples, config.render.bounces, config.site)).encode())
-        digest.update(config.camera.model_dump_json().encode())
-        mesh = world.scene.mesh
-        for array in (mesh.vertices_m, mesh.faces, mesh.material, *asdict(pose).values(), *asdict(light).values()):
-            digest.update(np.ascontiguousarray(array).tobytes())
-        for material in world.scene.materials:
-            digest.update(np.ascontiguousarray(material.reflectance).tobytes())
-        cached = Path(config.render.cache) / f"{digest.hexdigest()[:40]}.npy"
-        if cached.is_file():
-            return np.asarray(np.load(cached, allow_pickle=False))
-    regions = camera_maths.target_regions(config.camera, pose, world.scene)
-    radiance = render_frame(world.render_scene, config.camera, pose, light, config.render, seed, key, regions)
-    if cached is not None:
-        cached.parent.mkdir(parents=True, exist_ok=True)
-        part = cached.with_suffix(f".{os.getpid()}.part")
-        with part.open("wb") as file:
-            np.save(file, radiance)
-        part.replace(cached)
-    return radiance
+    optics = (camera.width_px, camera.height_px, camera.lens, camera.bands, camera.psf_sigma_px)
+    shutter = (camera.exposure_time_s, camera.shutter, camera.readout_time_s)
+    samples = (settings.samples, settings.target_samples, settings.bounces)
+
+    def render() -> Iterator[np.ndarray]:
+        regions = camera_maths.target_regions(camera, pose, scene)
+        return render_bands(world.render_scene, camera, pose, light, settings, seed, key, regions)
+
+    made_of: tuple[object, ...] = (version("testrange"), "frame", seed, key, optics, shutter, samples, pose, light)
+    made_of = (*made_of, scene.mesh, scene.materials, scene.targets)
+    return kept_blocks(settings.cache, made_of, render, settings.cache_limit_gb)
 
 
-def _develop(
-    config: Config,
-    exposing: sensor.Exposing,
-    fixed_pattern: sensor.FixedPattern,
-    radiance: np.ndarray,
-    noise: np.random.Generator,
-    path: Path,
-    tags: images.ImageTags,
-    unit: str,
-    journal: Journal,
-) -> None:
-    radiance = rippled(radiance, config.faults, path.stem)
-    dn = sensor.expose(radiance, config.camera, exposing, config.faults.camera_gain, noise, fixed_pattern)
-    images.write_image(path.with_suffix(".tif"), dn, tags)
-    images.write_preview(path.with_suffix(".jpg"), sensor.preview(dn, config.camera), tags)
-    journal.finish(unit, [path.with_suffix(".tif"), path.with_suffix(".jpg")])
+def _rippled(bands: Iterator[np.ndarray], config: Config, name: str) -> Iterator[np.ndarray]:
+    """The bands as they are; where a fault displaces the picture, in bands of the whole of it."""
+    if config.faults.image_ripple_px == 0.0:
+        yield from bands
+        return
+    camera = config.camera
+    picture = np.empty((camera.height_px, camera.width_px, len(camera.bands)), np.float32)
+    first = 0
+    for band in bands:
+        picture[first : first + len(band)] = band
+        first += len(band)
+    step = band_rows(camera)
+    for first in range(0, camera.height_px, step):
+        yield rippled_rows(picture, config.faults, name, slice(first, min(first + step, camera.height_px)))
+
+
+def _develop(frame: _Frame, first: int, radiance: np.ndarray) -> None:
+    """A band of rows, from row `first` on; the frame's noise is one sequence, so bands come in order."""
+    camera = frame.config.camera
+    window = sensor.Window(column=0, row=first, width_px=camera.width_px, height_px=len(radiance))
+    pattern = sensor.FixedPattern(
+        prnu=frame.fixed_pattern.prnu[window.cut], dsnu_e=frame.fixed_pattern.dsnu_e[window.cut]
+    )
+    gain = frame.config.faults.camera_gain
+    frame.dn[window.cut] = sensor.expose(radiance, camera, frame.exposing, gain, frame.noise, pattern, window)
+
+
+def _write(frame: _Frame, unit: str, journal: Journal) -> None:
+    files = [frame.path.with_suffix(".tif"), frame.path.with_suffix(".jpg")]
+    images.write_image(files[0], frame.dn, frame.tags)
+    images.write_preview(files[1], sensor.preview(frame.dn, frame.config.camera), frame.tags)
+    journal.finish(unit, files)
 
 
 def _tags(world: Range, estimated: Motion, stamped_s: float, exposure_time_s: float) -> images.ImageTags:
