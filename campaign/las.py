@@ -7,7 +7,7 @@ anchor - k dt d with anchor = P + L d, d pointing towards the sensor, |d| = c/2 
 import contextlib
 import datetime
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -68,6 +68,7 @@ GENERATING_SOFTWARE = "testrange"
 SCALE_M = 0.0001
 SCAN_ANGLE_STEP_DEG = 0.006
 MAX_CHUNK_BYTES = 256_000_000
+SCAN_BYTES = 8_000_000  # of records at once where few columns are looked at
 # Extra bytes in the order of the record: name, type, unit and meaning (32 characters), field of Returns. RIEGL's names first.
 EXTRA_BYTES = (
     ("Amplitude", "f4", "DN above baseline, linear", "amplitude"),
@@ -277,7 +278,7 @@ class StripReader:
             return None
         ends = [
             (float(block["gps_time"].min()), float(block["gps_time"].max()))
-            for _, block in records(self._header, max(1, MAX_CHUNK_BYTES // self._header.record.itemsize))
+            for _, block in records(self._header, max(1, SCAN_BYTES // self._header.record.itemsize))
         ]
         start = week_start_s(self._gps_week) if self._gps_week is not None and self.week_seconds else 0.0
         return min(e[0] for e in ends) + start, max(e[1] for e in ends) + start
@@ -292,6 +293,24 @@ class StripReader:
         size = max(1, min(points_per_chunk, MAX_CHUNK_BYTES // self._header.record.itemsize))
         for first, block in records(self._header, size):
             yield first, self._returns(block)
+
+    def chosen(
+        self, choose: Callable[[int, np.ndarray], np.ndarray], points_per_chunk: int | None = None
+    ) -> Iterator[tuple[np.ndarray, Returns]]:
+        """Yields (numbers (m,) int64 of records, returns) of the rows that `choose` takes; of others only the place is looked at.
+
+        Parameters
+        ----------
+        choose : callable
+            (number of the first record, (n, 2) easting and northing [m]) -> (m,) places among these n rows.
+        """
+        scale, offset = self._header.scale, self._header.offset
+        size = max(1, min(points_per_chunk or MAX_CHUNK_BYTES, SCAN_BYTES // self._header.record.itemsize))
+        for first, block in records(self._header, size):
+            xy = np.stack([block[n] * s + o for n, s, o in zip("XY", scale, offset)], axis=1)
+            rows = choose(first, xy)
+            if len(rows):
+                yield first + rows, self._returns(block[rows])
 
     def _returns(self, block: np.ndarray) -> Returns:
         header, names = self._header, block.dtype.names or ()
@@ -352,6 +371,8 @@ class StripReader:
             if out is None and len(where) == len(packet):
                 return samples
             if out is None or out.shape[1] < samples.shape[1]:
+                if self._packets is not None:
+                    self._packets.bounded(len(packet) * samples.shape[1])
                 grown = np.zeros((len(packet), samples.shape[1]), np.uint16)
                 if out is not None:
                     grown[:, : out.shape[1]] = out

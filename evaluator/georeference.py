@@ -28,6 +28,9 @@ class TargetReturns:
     record: np.ndarray  # (n,) int64 number of the row in the strip's LAS file
     returns: Returns
     picked_by: str = "evaluator"  # "person": exactly the records that the campaign's observations_lidar.csv names
+    reader: StripReader | None = (
+        None  # that read them and knows their packets; None: none, or open the strip's file again
+    )
 
 
 def mounting_from_sheet(sheet: MountingSheet) -> Mounting:
@@ -97,6 +100,35 @@ def _near_any(xy_m: np.ndarray, centres_xy_m: np.ndarray, radius_m: float) -> np
     return np.asarray(inside[occupied[at[:, 0], at[:, 1]]])
 
 
+class _Near:
+    """Which rows of a block are each target's: within the radius, or those that a person picked."""
+
+    def __init__(self, centres_xy_m: np.ndarray, radius_m: float, picked: list[np.ndarray | None]) -> None:
+        self._centres = centres_xy_m
+        self._radius_m = radius_m
+        self._picked = picked
+        self.of_target: dict[int, np.ndarray] = {}  # of the last block: target -> places among the rows chosen
+
+    def rows(self, first: int, xy_m: np.ndarray) -> np.ndarray:
+        """Rows of the block that begins with record `first`, (n, 2) its coordinates, that are any target's."""
+        near = _near_any(xy_m, self._centres, self._radius_m)
+        x, y = xy_m[near].T.copy()
+        found: dict[int, np.ndarray] = {}
+        for i, (centre, picked) in enumerate(zip(self._centres, self._picked, strict=True)):
+            if picked is None:
+                rows = near[(x - centre[0]) ** 2 + (y - centre[1]) ** 2 <= self._radius_m**2]
+            else:
+                rows = picked[(picked >= first) & (picked < first + len(xy_m))] - first
+            if rows.size:
+                found[i] = rows
+        self.of_target = {}
+        if not found:
+            return np.empty(0, np.int64)
+        chosen = np.unique(np.concatenate(list(found.values())))
+        self.of_target = {i: np.searchsorted(chosen, rows) for i, rows in found.items()}
+        return chosen
+
+
 def collect_target_returns(
     data: CampaignData, centres_map_m: dict[str, np.ndarray], radius_m: float, *, points_per_chunk: int = 1_000_000
 ) -> dict[tuple[int, int, str], TargetReturns]:
@@ -121,22 +153,17 @@ def collect_target_returns(
     centres = np.array([np.asarray(centres_map_m[i], dtype=np.float64)[:2] for i in ids])
     unit = data.lidar.amplitude_unit if data.lidar is not None else "linear"
     found: dict[tuple[int, int, str], list[tuple[np.ndarray, Returns]]] = {}
+    readers: dict[tuple[int, int], StripReader] = {}
     for sortie in data.sorties:
         for strip in sortie.strips:
             reader = StripReader(sortie.folder.strip_las(strip), gps_week=data.manifest.gps_week, amplitude_unit=unit)
-            for first, chunk in reader.chunks(points_per_chunk):
-                near = _near_any(chunk.xyz_m[:, :2], centres, radius_m)
-                xy = chunk.xyz_m[near, :2]
-                for i, target in enumerate(ids):
-                    picked = sortie.picked_points.get((strip, target))
-                    if picked is None:
-                        rows = near[np.sum((xy - centres[i]) ** 2, axis=1) <= radius_m**2]
-                    else:
-                        last = first + len(chunk.xyz_m)
-                        rows = picked[(picked >= first) & (picked < last)] - first
-                    if rows.size:
-                        key = (sortie.folder.number, strip, target)
-                        found.setdefault(key, []).append((first + rows, select_returns(chunk, rows)))
+            readers[sortie.folder.number, strip] = reader
+            picked = [sortie.picked_points.get((strip, target)) for target in ids]
+            near = _Near(centres, radius_m, picked)
+            for record, chunk in reader.chosen(near.rows, points_per_chunk):
+                for i, rows in near.of_target.items():
+                    key = (sortie.folder.number, strip, ids[i])
+                    found.setdefault(key, []).append((record[rows], select_returns(chunk, rows)))
     by_hand = {(s.folder.number, *key) for s in data.sorties for key in s.picked_points}
     return {
         key: TargetReturns(
@@ -146,6 +173,7 @@ def collect_target_returns(
             record=np.concatenate([r for r, _ in parts]).astype(np.int64),
             returns=concatenate_returns([r for _, r in parts]),
             picked_by="person" if key in by_hand else "evaluator",
+            reader=readers[key[:2]],
         )
         for key, parts in found.items()
     }

@@ -1,9 +1,11 @@
 """Blocks of raw LAS records, and waveform packets: which packet a record means, and its samples.
 
-A packet's number is its place in the file. Files with one packet length and no gaps (ours) are counted; others get a table of
-every packet that a record names, in the order of its byte.
+A packet's number is its place in the file: in files with one packet length and no gaps (ours) it counts them, in others it is the
+packet's byte with its kind (descriptor and length). Nothing is kept for each packet, whatever the file's length.
 """
 
+import contextlib
+import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -16,7 +18,11 @@ import numpy as np
 from campaign.errors import CampaignError
 from campaign.formats.las_layout import EVLR_HEADER_BYTES, LasHeader, WaveDescriptor
 
-_SCAN_POINTS = 1_000_000
+_SCAN_BYTES = 8_000_000  # of records at once
+_KINDS = 16  # bits of a packet's number that say its kind, below those of its byte
+_GAP_BYTES = 32_768  # packets that stand nearer together are read as one piece
+_PIECE_BYTES = 4_000_000
+MAX_READ_BYTES = 256_000_000  # of samples, by one call
 # LASzip items of the layered compressor: type -> layers; one of extra bytes (14) has a layer for each byte.
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 _BYTE14 = 14
@@ -81,69 +87,107 @@ def _decompressor(header: LasHeader, file: BinaryIO) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class PacketTable:
-    """Packets of one file. `offset` None: packet k stands at `first + k * size` of the one descriptor."""
+    """Packets of one file: their kinds, and how they are numbered."""
 
     las: Path
     source: Path
     base: int  # byte of `source` from which offsets count
-    descriptors: tuple[WaveDescriptor, ...]
-    first: int
+    descriptors: tuple[WaveDescriptor, ...]  # one for each kind, with the packets' own length
+    stated: dict[int, WaveDescriptor]  # by index, as the header has them
+    kinds: np.ndarray  # (kinds,) int64: index << 32 | bytes, of each of `descriptors`
+    first: int  # byte, counted from `base`, of packet 0 where packets are counted; else -1
     end: int  # the byte, counted from `base`, behind the last packet that a record names
-    offset: np.ndarray | None  # (p,) increasing
-    index: np.ndarray | None  # (p,) place in `descriptors` of each
 
     def numbers(self, block: np.ndarray) -> np.ndarray:
         """(n,) raw records -> (n,) packet numbers, -1 for none."""
-        known = np.zeros(256, bool)
-        known[[d.index for d in self.descriptors]] = True
-        has = known[block["descriptor"]]
+        has = _named(self.stated)[block["descriptor"]]
+        if not self.descriptors:
+            return np.full(len(block), -1, np.int64)
         offset = block["wave_offset"].astype(np.int64)
-        if self.offset is None:
-            size = self.descriptors[0].packet_bytes if self.descriptors else 1
-            number = (offset - self.first) // size
-        else:
-            number = np.searchsorted(self.offset, offset)
-        return np.where(has, number, -1)
+        if self.first >= 0:
+            return np.where(has, (offset - self.first) // self.descriptors[0].packet_bytes, -1)
+        order = np.argsort(self.kinds)
+        place = np.searchsorted(self.kinds, _kind(block, self.stated), sorter=order).clip(max=len(order) - 1)
+        return np.where(has, offset << _KINDS | order[place], -1)
 
     def read(self, packet: np.ndarray) -> Iterator[tuple[WaveDescriptor, np.ndarray, np.ndarray]]:
-        """(descriptor, places in `packet`, samples) for each descriptor among the packets."""
+        """(descriptor, places in `packet`, samples) for each kind among the packets."""
         if len(packet) == 0:
             return
-        known = None if self.offset is None else len(self.offset)
-        if packet.min() < 0 or (known is not None and packet.max() >= known):
-            raise CampaignError("no such waveform packet", where=str(self.las), got=f"{packet.min()} to {packet.max()}")
-        data = self._data()
-        for place, descriptor in enumerate(self.descriptors):
-            size = descriptor.packet_bytes
-            if self.offset is None or self.index is None:
-                where, start = np.arange(len(packet)), self.base + self.first + packet * size
-            else:
-                where = np.flatnonzero(self.index[packet] == place)
-                start = self.base + self.offset[packet[where]]
-            if len(where) == 0:
-                continue
-            if int(start.max()) + size > len(data):
-                raise self._short(int(start.max()) + size)
-            yield descriptor, where, _gather(data, start, descriptor)
+        if int(packet.min()) < 0:
+            raise self._unknown(packet)
+        counted = self.first >= 0
+        kind = np.zeros(len(packet), np.int64) if counted else packet & ((1 << _KINDS) - 1)
+        if not self.descriptors or int(kind.max()) >= len(self.descriptors):
+            raise self._unknown(packet)
+        self.bounded(int(np.array([d.samples for d in self.descriptors])[kind].sum()))
+        with self._open() as file:
+            size = file.seek(0, os.SEEK_END)
+            for place, descriptor in enumerate(self.descriptors):
+                where = np.flatnonzero(kind == place)
+                if len(where) == 0:
+                    continue
+                length = descriptor.packet_bytes
+                if counted and int(packet.max()) > size // length:
+                    raise self._short(size, self.base + self.first + (int(packet.max()) + 1) * length)
+                start = self.base + (self.first + packet * length if counted else packet[where] >> _KINDS)
+                if int(start.max()) + length > size:
+                    raise self._short(size, int(start.max()) + length)
+                yield descriptor, where, self._gather(file, start, descriptor)
+
+    def bounded(self, samples: int) -> None:
+        """Raises CampaignError where so many samples are more than one call may take memory for."""
+        if 2 * samples > MAX_READ_BYTES:
+            most = MAX_READ_BYTES // 2
+            raise CampaignError(
+                "too many waveform samples", where=str(self.las), got=samples, expected=f"at most {most}"
+            )
 
     def check(self) -> None:
         """Raises CampaignError when the packets that records name do not lie in the file."""
-        if self.end > 0 and len(self._data()) < self.base + self.end:
-            raise self._short(self.base + self.end)
+        if self.end > 0:
+            with self._open() as file:
+                size = file.seek(0, os.SEEK_END)
+            if size < self.base + self.end:
+                raise self._short(size, self.base + self.end)
 
-    def _short(self, expected: int) -> CampaignError:
+    def _gather(self, file: BinaryIO, start: np.ndarray, descriptor: WaveDescriptor) -> np.ndarray:
+        """(q, samples) uint16 of packets at bytes `start`: in the order of the file, neighbours as one piece."""
+        length = descriptor.packet_bytes
+        order = np.argsort(start, kind="stable")
+        at = start[order]
+        raw = np.empty((len(at), length), np.uint8)
+        breaks = np.flatnonzero(np.diff(at) > length + _GAP_BYTES) + 1
+        for low, high in zip([0, *breaks.tolist()], [*breaks.tolist(), len(at)]):
+            while low < high:
+                stop = max(low + 1, int(np.searchsorted(at[low:high], at[low] + _PIECE_BYTES)) + low)
+                file.seek(int(at[low]))
+                piece = file.read(int(at[stop - 1] - at[low]) + length)
+                if len(piece) < int(at[stop - 1] - at[low]) + length:
+                    raise self._short(int(at[low]) + len(piece), int(at[stop - 1]) + length)
+                rows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(piece, np.uint8), length)
+                raw[order[low:stop]] = rows[at[low:stop] - at[low]]
+                low = stop
+        if descriptor.bits_per_sample == 8:
+            return raw.astype(np.uint16)
+        return np.asarray(raw.view("<u2"), np.uint16)
+
+    def _unknown(self, packet: np.ndarray) -> CampaignError:
+        return CampaignError("no such waveform packet", where=str(self.las), got=f"{packet.min()} to {packet.max()}")
+
+    def _short(self, size: int, expected: int) -> CampaignError:
         return CampaignError(
             "is shorter than its packets say",
             where=str(self.source),
-            got=f"{len(self._data())} bytes",
+            got=f"{size} bytes",
             expected=f"at least {expected}",
         )
 
-    def _data(self) -> np.ndarray:
+    @contextlib.contextmanager
+    def _open(self) -> Iterator[BinaryIO]:
         try:
-            if self.source.stat().st_size == 0:
-                return np.zeros(0, np.uint8)
-            return np.memmap(self.source, np.uint8, "r")
+            with self.source.open("rb") as file:
+                yield file
         except FileNotFoundError:
             raise CampaignError(
                 "no such file", where=str(self.source), expected=f"the packets of {self.las.name}"
@@ -152,68 +196,68 @@ class PacketTable:
             raise CampaignError("cannot be read", where=str(self.source), got=error.strerror) from None
 
 
-def _gather(data: np.ndarray, start: np.ndarray, descriptor: WaveDescriptor) -> np.ndarray:
-    size = descriptor.packet_bytes
-    first = int(start.min())
-    if not np.any((start - first) % size):  # whole packets apart: rows of one array
-        rows = (len(data) - first) // size
-        raw = data[first : first + rows * size].reshape(rows, size)[(start - first) // size]
-    else:
-        raw = data[start[:, None] + np.arange(size)]
-    if descriptor.bits_per_sample == 8:
-        return np.asarray(raw, np.uint16)
-    return np.asarray(np.ascontiguousarray(raw).view("<u2"), np.uint16)
-
-
 def packet_table(header: LasHeader) -> PacketTable:
-    """Read every record once and see how its packets are numbered."""
-    known = np.zeros(256, bool)
-    known[list(header.descriptors)] = True
-    described = np.ones(256, np.int64)
-    for d in header.descriptors.values():
-        described[d.index] = d.packet_bytes
-    groups: dict[int, WaveDescriptor] = {}  # (descriptor << 32 | bytes) -> the descriptor with the packets' own length
+    """Read every record once and see how its packets are numbered; what is kept does not grow with the file."""
+    groups: dict[int, WaveDescriptor] = {}
     phases: set[int] = set()
-    found: list[np.ndarray] = []
-    end = 0
-    step = max(1, min(_SCAN_POINTS, 128_000_000 // header.record.itemsize))
-    for _, block in records(header, step):
-        block = block[known[block["descriptor"]]]
+    named = _named(header.descriptors)
+    lowest, end = 2**62, 0
+    for _, block in records(header, max(1, _SCAN_BYTES // header.record.itemsize)):
+        block = block[named[block["descriptor"]]]
         if len(block) == 0:
             continue
-        index, at, size = (block[n].astype(np.int64) for n in ("descriptor", "wave_offset", "wave_size"))
+        kind = _kind(block, header.descriptors)
+        at, size = block["wave_offset"].astype(np.int64), kind & 0xFFFFFFFF
         if int(at.min()) < 0 or int(at.max()) >= 2**46:
             raise CampaignError("a packet's offset is not plausible", where=str(header.path), got=int(at.max()))
-        # a record that states no length, or a longer one, has a packet of the descriptor's
-        size = np.where((size == 0) | (size > described[index]), described[index], size)
-        kind = index << 32 | size
-        for value in np.unique(kind).tolist():
+        for value in _distinct(kind):
             groups.setdefault(value, _shortened(header.descriptors[value >> 32], value & 0xFFFFFFFF))
-        if len(groups) > 65_536:
-            raise CampaignError("packets of too many lengths", where=str(header.path), expected="at most 65536")
-        order = np.array(list(groups), np.int64)
-        by_value = np.argsort(order)
-        group = by_value[np.searchsorted(order, kind, sorter=by_value)]
-        phases.update(np.unique(at % size).tolist()[:2])
-        end = max(end, int((at + size).max()))
-        found.append(np.unique(at << 16 | group))
+        if len(groups) > 1 << _KINDS:
+            raise CampaignError(
+                "packets of too many lengths", where=str(header.path), expected=f"at most {1 << _KINDS}"
+            )
+        if len(phases) < 2:
+            phases.update(_distinct(at % size)[:2])
+        lowest, end = min(lowest, int(at.min())), max(end, int((at + size).max()))
     source, base = _source(header)
-    descriptors = tuple(groups.values())
     table = PacketTable(
-        las=header.path, source=source, base=base, descriptors=descriptors, first=0, end=end, offset=None, index=None
+        las=header.path,
+        source=source,
+        base=base,
+        descriptors=tuple(groups.values()),
+        stated=header.descriptors,
+        kinds=np.array(list(groups), np.int64),
+        first=-1,
+        end=end,
     )
-    if len(descriptors) == 0:
-        return table
-    if len(descriptors) == 1 and len(phases) == 1:
-        size_one, rest = descriptors[0].packet_bytes, phases.pop()
+    if len(groups) == 1 and len(phases) == 1:
+        size_one, rest = table.descriptors[0].packet_bytes, phases.pop()
         first = rest + size_one * -(-(EVLR_HEADER_BYTES - rest) // size_one)  # the first such byte past the header's 60
-        if all(int(f[0] >> 16) >= first for f in found):
+        if lowest >= first and int(table.kinds[0]) & 0xFFFFFFFF == size_one:  # no odd length of 16-bit samples
             return replace(table, first=first)
-    pairs = np.unique(np.concatenate(found))
-    offset, group = pairs >> 16, (pairs & 65_535).astype(np.uint16)
-    if np.any(np.diff(offset) == 0):
-        raise CampaignError("one packet has two lengths", where=str(header.path))
-    return replace(table, offset=offset, index=group)
+    return table
+
+
+def _named(stated: dict[int, WaveDescriptor]) -> np.ndarray:
+    """(256,) bool: a record's descriptor index is one of these."""
+    known = np.zeros(256, bool)
+    known[list(stated)] = True
+    return known
+
+
+def _distinct(values: np.ndarray) -> list[int]:
+    """Sorted; most often there is one."""
+    return [int(values[0])] if (values == values[0]).all() else np.unique(values).tolist()
+
+
+def _kind(block: np.ndarray, stated: dict[int, WaveDescriptor]) -> np.ndarray:
+    """(n,) int64 index << 32 | bytes: a record that states no length, or a longer one, has a packet of the descriptor's."""
+    described = np.ones(256, np.int64)
+    for d in stated.values():
+        described[d.index] = d.packet_bytes
+    index, size = block["descriptor"].astype(np.int64), block["wave_size"].astype(np.int64)
+    size = np.where((size == 0) | (size > described[index]), described[index], size)
+    return np.asarray(index << 32 | size)
 
 
 def _shortened(descriptor: WaveDescriptor, size: int) -> WaveDescriptor:

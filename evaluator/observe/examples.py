@@ -28,12 +28,13 @@ def waveform_examples(
         level = nominal.get(o.panel)
         if level is None or level in found or not o.from_waveform or data.lidar is None:
             continue
-        rows = returns[o.sortie, o.strip, o.panel].returns
+        near = returns[o.sortie, o.strip, o.panel]
+        rows = near.returns
         with_packet = np.flatnonzero((rows.packet >= 0) & (rows.number_of_returns == 1))
         if with_packet.size == 0:
             continue
         row = with_packet[np.argmin(np.abs(rows.amplitude[with_packet] - o.amplitude_dn))]
-        reader = StripReader(folders[o.sortie].strip_las(o.strip))
+        reader = near.reader or StripReader(folders[o.sortie].strip_las(o.strip))
         sampling_ns = reader.sampling_ps / 1000.0
         samples = reader.waveforms(rows.packet[row : row + 1])[0].astype(np.float64)
         width = data.lidar.echo_fwhm_ns

@@ -364,7 +364,8 @@ def _strip_observations(
     measured = np.zeros(amplitude.size, dtype=bool)
     if (packet >= 0).any():
         try:
-            wave_amplitude, width = _amplitude_of_packets(las, packet, location_ns, data.lidar, tools)
+            reader = returns[chosen[0].key].reader or StripReader(las)
+            wave_amplitude, width = _amplitude_of_packets(reader, packet, location_ns, data.lidar, tools)
             measured = np.isfinite(wave_amplitude)
             amplitude = np.where(measured, wave_amplitude, amplitude)
         except (CampaignError, AlgorithmFailure):  # as a broken .wdp: the file's own amplitudes; 8.1 then says so
@@ -410,10 +411,9 @@ def _strip_observations(
 
 
 def _amplitude_of_packets(
-    las: Path, packet: np.ndarray, location_ns: np.ndarray, lidar: LidarSheet, tools: Tools
+    reader: StripReader, packet: np.ndarray, location_ns: np.ndarray, lidar: LidarSheet, tools: Tools
 ) -> tuple[np.ndarray, np.ndarray]:
     """Amplitude [DN] and width [ns] of the echo at each return's place in its packet; NaN where there is none."""
-    reader = StripReader(las)
     amplitude, width = np.full(packet.size, np.nan), np.full(packet.size, np.nan)
     sampling_ns = reader.sampling_ps / 1000.0
     numbers = np.unique(packet[packet >= 0])

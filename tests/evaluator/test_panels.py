@@ -1,6 +1,10 @@
 """Panels found in cloud and image of a campaign written by hand: a beam by beam LiDAR and a pinhole, no simulator."""
 
+import gc
+import struct
+import tracemalloc
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -300,3 +304,62 @@ def test_region_is_the_projected_square(campaign_data: CampaignData) -> None:
         assert rows.size == pytest.approx(area, rel=0.03)
         assert np.column_stack([columns, rows]).mean(axis=0) + 0.5 == pytest.approx(uv[0], abs=0.3)
         assert place.min() >= 0.0 and place.max() <= 1.0
+
+
+def _lengthened(las: Path, times: int) -> int:
+    """The strip with `times` as many records, the others 3 km to the east, half of them before its own, each with a packet of its
+    own behind those that are there. Returns how many stand before."""
+    raw, wdp = las.read_bytes(), las.with_suffix(".wdp")
+    (at,), (length,), (count,) = (
+        struct.unpack_from(kind, raw, place) for kind, place in (("<I", 96), ("<H", 105), ("<Q", 247))
+    )
+    own = np.frombuffer(raw, np.uint8, count * length, at).reshape(count, length)
+    packet_bytes = struct.unpack_from("<I", raw, at + 39)[0]
+    packets = wdp.read_bytes()
+    far = np.tile(own, (times - 1, 1))
+    east = far[:, 0:4].copy().view("<i4")
+    east += 30_000_000
+    far[:, 0:4] = east.view(np.uint8)
+    far[:, 31:39] = (len(packets) + packet_bytes * np.arange(len(far), dtype="<u8")).view(np.uint8).reshape(-1, 8)
+    before = len(far) // 2
+    head = bytearray(raw[:at])
+    struct.pack_into("<Q", head, 247, times * count)
+    with las.open("wb") as file:
+        for part in (bytes(head), far[:before].tobytes(), raw[at : at + count * length], far[before:].tobytes()):
+            file.write(part)
+    with wdp.open("ab") as file:
+        file.truncate(len(packets) + packet_bytes * len(far))
+    return before
+
+
+def _observed(data: CampaignData) -> tuple[list, int]:
+    """Panels of both strips by the nominal search, and the greatest memory that it took. [bytes]"""
+    gc.collect()
+    tracemalloc.start()
+    try:
+        found = lidar_panel_observations(data, _collected(data), true_mounting(nominal_mountings(data.rig)[1]))
+        return found, tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_long_strip_is_the_same_and_takes_no_more_memory(flown: CampaignData) -> None:
+    """Rationale: a campaign of 10 GB is read on a laptop: points and packets away from targets are passed over in blocks.
+    Expected: with 20 and 40 times the records and packets the very same observations, and a greatest memory that does not grow
+    from 20 to 40 while the files grow by 70 MB. Tolerance: none on the values; 1 MB on the memory; at most 60 MB in all, for
+    blocks of 8 MB of records and what is computed of them."""
+    plain, _ = _observed(flown)
+    folder = flown.sorties[0].folder
+    peaks, sizes = [], []
+    for times in (20, 2):  # twice the twentyfold
+        _lengthened(folder.strip_las(1), times)
+        found, peak = _observed(flown)
+        peaks.append(peak)
+        sizes.append(sum(folder.strip_las(1).with_suffix(s).stat().st_size for s in (".las", ".wdp")))
+        assert len(found) == len(plain) > 0
+        for a, b in zip(found, plain, strict=True):
+            assert replace(a, record=b.record) == b
+            assert np.ptp(a.record - b.record) == 0
+    assert sizes[1] - sizes[0] > 70_000_000
+    assert peaks[1] - peaks[0] < 1_000_000
+    assert peaks[1] < 60_000_000
