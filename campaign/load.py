@@ -239,8 +239,10 @@ def merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 
 def dump_toml(config: Config) -> str:
-    """The configuration as TOML, devices merged in; `load_config` of it gives an equal Config."""
-    return toml_text(config.model_dump(mode="python", exclude_none=True))
+    """The configuration as TOML, devices merged in; `load_config` of it gives an equal Config, but for the place where renders
+    are kept: a path of one machine, on which nothing that is written depends."""
+    body = config.model_dump(mode="python", exclude_none=True, exclude={"render": {"cache", "cache_limit_gb"}})
+    return toml_text(body)
 
 
 def json_schema() -> dict[str, Any]:

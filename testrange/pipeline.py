@@ -118,11 +118,12 @@ def simulate(
     replace: bool = False,
     only: Part | None = None,
     workers: int = 1,
+    scheduler: str | None = None,
 ) -> None:
     """Writes the campaign folder `out`; `only` simulates one part of it. What an interrupted call had made is not made again."""
     with resumable_folder(out, _task(config, "simulate", only), replace) as work:
         simulate_units(
-            config, work.folder, work.journal, progress, None if only is None else frozenset({only}), workers
+            config, work.folder, work.journal, progress, None if only is None else frozenset({only}), workers, scheduler
         )
 
 
@@ -130,7 +131,8 @@ def _task(config: Config, *more: object) -> str:
     """All that decides what a simulation writes."""
     from importlib.metadata import version
 
-    return json.dumps([version("testrange"), config.model_dump_json(exclude={"render": {"cache"}}), *more], default=str)
+    body = config.model_dump_json(exclude={"render": {"cache", "cache_limit_gb"}})
+    return json.dumps([version("testrange"), body, *more], default=str)
 
 
 def _refuse_unsound(campaign: Path, keep_going: bool) -> list[str]:
@@ -220,6 +222,7 @@ def run(
     languages: Sequence[Language] = ("zh",),
     documents: bool = True,
     workers: int = 1,
+    scheduler: str | None = None,
 ) -> Run:
     """Simulates, evaluates, scores and reports into `out`/campaign and `out`/results. What an interrupted call had simulated is
     not simulated again."""
@@ -230,7 +233,7 @@ def run(
         campaign, results = work.folder / "campaign", work.folder / "results"
         campaign.mkdir(exist_ok=True)
         shutil.rmtree(results, ignore_errors=True)
-        simulate_units(config, campaign, work.journal, progress, None, workers)
+        simulate_units(config, campaign, work.journal, progress, None, workers, scheduler)
         evaluation = evaluate_campaign(campaign, progress)
         score = _write_results(results, campaign, evaluation, languages, progress, score=True, documents=documents)
     return Run(

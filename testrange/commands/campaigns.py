@@ -6,12 +6,14 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from testrange.commands.options import (
+    Cache,
     Documents,
     Json,
     Lang,
     OneLanguage,
     Quiet,
     Replace,
+    Scheduler,
     Settings,
     Workers,
     counted,
@@ -19,6 +21,7 @@ from testrange.commands.options import (
     languages,
     print_json,
     report,
+    with_cache,
 )
 
 
@@ -33,6 +36,8 @@ def run(
     replace: Replace = False,
     json: Json = False,
     workers: Workers = 1,
+    scheduler: Scheduler = None,
+    cache: Cache = None,
     quiet: Quiet = False,
 ) -> None:
     """Simulate, evaluate, score and report. Interrupted, the same command goes on where it stopped.
@@ -48,7 +53,7 @@ def run(
     from testrange import pipeline
     from testrange.progress import display
 
-    loaded = load_config(config, set_)
+    loaded = load_config(config, with_cache(set_, cache))
     target = out or Path("out") / loaded.campaign.id
     with display(quiet=quiet) as progress:
         done = pipeline.run(
@@ -59,6 +64,7 @@ def run(
             languages=languages(language),
             documents=documents,
             workers=workers,
+            scheduler=scheduler,
         )
     report(done, json, language)
 
@@ -73,6 +79,8 @@ def simulate(
     replace: Replace = False,
     json: Json = False,
     workers: Workers = 1,
+    scheduler: Scheduler = None,
+    cache: Cache = None,
     quiet: Quiet = False,
 ) -> None:
     """Fly and observe the range: write a campaign folder. Interrupted, the same command goes on where it stopped.
@@ -90,9 +98,9 @@ def simulate(
     from testrange import pipeline
     from testrange.progress import display
 
-    loaded = load_config(config, set_)
+    loaded = load_config(config, with_cache(set_, cache))
     with display(quiet=quiet) as progress:
-        pipeline.simulate(loaded, out, progress, replace=replace, only=only, workers=workers)
+        pipeline.simulate(loaded, out, progress, replace=replace, only=only, workers=workers, scheduler=scheduler)
     if json:
         print_json({"campaign": loaded.campaign.id, "folder": str(out)})
     else:

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
@@ -26,6 +27,22 @@ Workers = Annotated[
         help="Processes that share pictures and strips, and the cores; the same files for any number.",
     ),
 ]
+Scheduler = Annotated[
+    str | None,
+    Parameter(
+        show_default=False,
+        help="Address of a Dask scheduler (tcp://HOST:8786) whose workers share pictures and strips instead (extra "
+        "`cluster`); all must see the output folder under the same path.",
+    ),
+]
+Cache = Annotated[
+    Path | None,
+    Parameter(
+        show_default=False,
+        help="Folder that keeps renders between runs: with scene_seed fixed, another seed or navigation error renders nothing "
+        "again. Up to render.cache_limit_gb (50) are kept; the campaign is the same with it and without.",
+    ),
+]
 Json = Annotated[bool, Parameter(name="--json", negative="", show_default=False, help="Print JSON instead of tables.")]
 Lang = Annotated[
     Literal["zh", "en", "both"],
@@ -39,6 +56,11 @@ Documents = Annotated[
     Parameter(show_default=False, help="Documents as PDF and DOCX and the 3D page; --no-documents leaves them out."),
 ]
 Quiet = Annotated[bool, Parameter(negative="", show_default=False, help="No progress.")]
+
+
+def with_cache(settings: tuple[str, ...], cache: Path | None) -> tuple[str, ...]:
+    """The settings, and where renders are kept."""
+    return settings if cache is None else (*settings, f"render.cache={json.dumps(str(cache), ensure_ascii=False)}")
 
 
 def print_json(content: Any) -> None:

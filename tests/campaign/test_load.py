@@ -131,6 +131,12 @@ def test_dump_round_trip_is_exact(base: Path) -> None:
     assert load_config(again) == config
 
 
+def test_dump_says_nothing_of_where_renders_are_kept(base: Path) -> None:
+    """Rationale: truth/campaign.toml is handed on, and the same seed gives the same bytes on any machine. Expected: one text."""
+    kept = load_config(base, ['render.cache="/somewhere/renders"', "render.cache_limit_gb=3.0"])
+    assert dump_toml(kept) == dump_toml(load_config(base))
+
+
 def test_section_overrides_the_device_it_uses(base: Path) -> None:
     """Rationale: `use` names a device, keys beside it win, nested tables merge. Expected: 1234 Hz, the rest from the file."""
     folder = configs_folder() / "sensors"
