@@ -174,7 +174,8 @@ def scan_drift_m2(vertex: VertexObservation, sheet: NavigationSheet) -> float:
     """
     tilt = np.radians(np.asarray(sheet.attitude_std_deg[:2]))
     of_tilt, of_place = (
-        -np.expm1(-vertex.time_spread_s / (6.0 * t)) for t in (sheet.attitude_correlation_s, sheet.position_correlation_s)
+        -np.expm1(-vertex.time_spread_s / (6.0 * t))
+        for t in (sheet.attitude_correlation_s, sheet.position_correlation_s)
     )
     turned = float(np.mean(tilt**2)) * float(vertex.point_lidar_m @ vertex.point_lidar_m)
     return float(turned * of_tilt + np.mean(np.square(sheet.position_std_m)) * of_place)
