@@ -27,6 +27,8 @@ from simulator.simulate import Range, prepare_range
 
 LATEST = Path(__file__).parents[1] / "out" / "bench" / "latest.json"
 BASELINE = Path(__file__).with_name("baseline.json")
+PAGE = Path(__file__).parents[1] / "docs" / "performance.md"
+MARKS = ("<!-- figures of make baseline -->\n", "<!-- end of figures -->\n")
 KERNEL = "reference_kernel_per_s"
 Record = Callable[..., None]
 
@@ -45,6 +47,7 @@ BARS: dict[str, tuple[str, float]] = {
     "memory_simulate_gb": ("<=", 3.0),
     "memory_evaluate_gb": ("<=", 3.0),
     "decompositions_per_s": (">=", 50_000),
+    "decomposition_rms_over_crb": ("<=", 1.2),
     "rerun_time_ratio": ("<=", 0.20),
     "study_two_workers_ratio": (">=", 1.7),
     "help_s": ("<=", 0.3),
@@ -79,7 +82,7 @@ def kernel_per_s() -> float:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--baseline", action="store_true", help="put the figures of this run into benchmarks/baseline.json"
+        "--baseline", action="store_true", help="put the figures into benchmarks/baseline.json and docs/performance.md"
     )
 
 
@@ -100,7 +103,9 @@ def record(pytestconfig: pytest.Config) -> Iterator[Record]:
 
     yield add
     if pytestconfig.getoption("--baseline"):
-        _write(BASELINE, {"machine": machine(), "figures": session.figures})
+        kind = machine()
+        _write(BASELINE, {"machine": kind, "figures": session.figures})
+        _write_page(kind, session.figures)
 
 
 def machine() -> dict[str, str | int]:
@@ -131,6 +136,20 @@ def _read(path: Path) -> dict[str, float]:
 def _write(path: Path, content: object) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def _write_page(kind: dict[str, str | int], figures: dict[str, float]) -> None:
+    """The table of docs/performance.md, between its marks."""
+    page = PAGE.read_text(encoding="utf-8")
+    before, rest = page.split(MARKS[0])
+    _, after = rest.split(MARKS[1])
+    lines = ["| figure | value | bar | |", "|---|---|---|---|"]
+    for name in sorted(figures):
+        bar = "{} {:,g}".format(*BARS[name]) if name in BARS else ""
+        lines.append(f"| `{name}` | {figures[name]:,.4g} | {bar} | {'missed' if missed(name, figures[name]) else ''} |")
+    told = ", ".join(f"{key} {value}" for key, value in kind.items())
+    table = "\n".join([*lines, "", f"Measured on: {told}.", ""])
+    PAGE.write_text(before + MARKS[0] + table + MARKS[1] + after, encoding="utf-8")
 
 
 def against(name: str, value: float, kernel: float, base: dict[str, float]) -> float | None:
