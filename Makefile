@@ -24,11 +24,11 @@ check: $(READY)
 	$(BIN)/mypy
 
 bench: $(READY)
-	$(BIN)/pytest -q benchmarks --benchmark-only
+	$(BIN)/pytest -q benchmarks
 
 # What later runs of `make bench` are compared with; on a machine that does nothing else.
 baseline: $(READY)
-	$(BIN)/pytest -q benchmarks --benchmark-only --baseline
+	$(BIN)/pytest -q benchmarks --baseline
 
 # uv itself comes out of the lock, with its hashes; it then installs the rest from the lock alone.
 $(READY): requirements.lock pyproject.toml
