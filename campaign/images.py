@@ -184,7 +184,7 @@ def read_preview(path: Path, *, width_px: int, height_px: int) -> np.ndarray:
         bgr = None
     if bgr is None or bgr.shape != (height_px, width_px, 3):
         raise CampaignError("preview cannot be decoded", where=str(path))
-    return np.ascontiguousarray(bgr[:, :, ::-1])
+    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB, dst=bgr))  # in place: of 45 megapixels a copy takes 134 MB
 
 
 def read_tags(path: Path) -> dict[str, object]:

@@ -47,6 +47,7 @@ from evaluator.results_model import IndicatorValue, not_measured
 
 __all__ = ["evaluate_campaign", "read_campaign"]
 
+_NO_IMAGE = np.empty((0, 0, 0), np.uint16)  # in the place of one that is done with, so that two are never held at once
 COLLECT_MARGIN_M = 1.4  # round a target's own radius: one degree of unknown mounting at 80 m
 
 
@@ -290,6 +291,7 @@ def _look_for_targets(data: CampaignData, findings: _Findings, tools: Tools, pro
                 findings.board_reasons |= reasons
         except TestrangeError as error:
             findings.problem(error)
+        image = _NO_IMAGE
         progress("marks", done, len(frames))
 
 
@@ -391,8 +393,10 @@ def _image_panels(
                 search=not solved,
                 picked=hand[sortie.folder.number],
             )
+            image = _NO_IMAGE
             _brightness(data, sortie, exposure, values, findings)
         except TestrangeError as error:
+            image = _NO_IMAGE
             findings.problem(error)
             continue
         findings.panels += values

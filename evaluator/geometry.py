@@ -168,7 +168,8 @@ def mean_band(image: np.ndarray) -> np.ndarray:
     total = image[..., 0].astype(np.float32)
     for band in range(1, image.shape[2]):
         total += image[..., band]
-    return np.asarray(total / image.shape[2])
+    total /= image.shape[2]
+    return total
 
 
 def observe_marks(

@@ -213,13 +213,17 @@ def _check_saturation(picture: np.ndarray, uv: np.ndarray, full_scale: int | Non
     part = picture[low[1] : high[1], low[0] : high[0]]
     inside = np.zeros(part.shape[:2], np.uint8)
     cv2.fillConvexPoly(inside, (hull - low).astype(np.int32), 1)
-    pixels = part.reshape(*part.shape[:2], -1)[inside.astype(bool)]
+    bands = part.reshape(*part.shape[:2], -1)
+    brightest = bands[..., 0]
+    for band in range(1, bands.shape[2]):
+        brightest = np.maximum(brightest, bands[..., band])
+    pixels = brightest[inside.astype(bool)]
     if not pixels.size:
         return
     top = int(pixels.max())
     if top < full_scale if full_scale else top not in _FULL_SCALES:
         return
-    share = float(np.mean((pixels >= top).any(axis=1)))
+    share = float(np.mean(pixels >= top))
     if share > _SATURATED:
         raise EvaluationError(
             "the board is saturated",

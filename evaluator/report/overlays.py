@@ -191,7 +191,10 @@ def _pixels(sheet: CameraSheet, sortie: SortieData, exposure: Exposure) -> tuple
     dn = read_image(path, width_px=sheet.width_px, height_px=sheet.height_px, bands=len(sheet.bands))
     top = float(np.quantile(dn[::16, ::16], 0.998))
     linear = np.clip((np.arange(65536) - sheet.black_level_dn) / max(top - sheet.black_level_dn, 1.0), 0.0, 1.0)
-    shown = np.round(255.0 * linear ** (1.0 / 2.2)).astype(np.uint8)[dn]
+    table = np.round(255.0 * linear ** (1.0 / 2.2)).astype(np.uint8)
+    shown = np.empty_like(dn, np.uint8)
+    for row in range(0, len(dn), 64):  # NumPy makes indices of 8 bytes of them
+        shown[row : row + 64] = table[dn[row : row + 64]]
     return (shown if shown.shape[2] == 3 else np.repeat(shown[:, :, :1], 3, axis=2)), True
 
 
