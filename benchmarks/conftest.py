@@ -44,6 +44,7 @@ BARS: dict[str, tuple[str, float]] = {
     "lidar_rim_amplitude_bias": ("<=", 0.01),
     "camera_time_ratio": ("<=", 1.10),
     "camera_frame_s": ("<=", 60.0),
+    "camera_noise_ratio_targets": ("<=", 0.5),
     "memory_ratio_10x": ("<=", 1.1),
     "memory_simulate_gb": ("<=", 3.0),
     "memory_evaluate_gb": ("<=", 3.0),
