@@ -9,7 +9,9 @@ from campaign.config import Band, Camera, Environment, Lens, Site
 from scenes.model import SunSky
 from scenes.sunsky import band_irradiance, sun_sky
 from simulator.sensor import (
+    ROWS_AT_ONCE,
     FixedPattern,
+    Window,
     electrons_per_radiance,
     expose,
     exposure_gain,
@@ -143,6 +145,27 @@ def test_fixed_pattern_stays_and_noise_does_not(light: SunSky) -> None:
     frames = [expose(half, cam, exposing, 1.0, np.random.default_rng(k), pattern).astype(float) for k in (1, 2)]
     relative = [(f - f.mean((0, 1))) / (f.mean((0, 1)) - 256) for f in frames]
     assert np.mean(relative[0] * relative[1]) == pytest.approx(0.01**2, rel=0.12)
+
+
+def test_bands_of_rows_are_the_whole_picture(light: SunSky) -> None:
+    """Rationale: a frame is developed band by band as it is rendered; its noise, fall-off and fixed pattern must not show where.
+
+    Expected: windows of one, two and one block of rows with one generator give the bytes of the whole, dark pixels (drawn from a
+    Poisson distribution) among them. Tolerance: none.
+    """
+    cam = camera(vignetting=0.3)
+    pattern = fixed_pattern(cam, np.random.default_rng(5))
+    exposing = exposure_gain(cam, light)
+    scene = np.geomspace(1e-4, 1.0, 64)[None, :, None] * white_radiance(cam, light) * np.ones((64, 1, 1))
+    radiance = scene.astype(np.float32)
+    whole = expose(radiance, cam, exposing, 1.0, np.random.default_rng(1), pattern)
+    rng, parts = np.random.default_rng(1), []
+    for first, last in ((0, 1), (1, 3), (3, 4)):
+        rows = slice(first * ROWS_AT_ONCE, last * ROWS_AT_ONCE)
+        window = Window(column=0, row=rows.start, width_px=64, height_px=rows.stop - rows.start)
+        part = FixedPattern(prnu=pattern.prnu[window.cut], dsnu_e=pattern.dsnu_e[window.cut])
+        parts.append(expose(radiance[rows], cam, exposing, 1.0, rng, part, window))
+    assert (np.concatenate(parts) == whole).all()
 
 
 def test_preview_is_srgb_of_the_linear_signal() -> None:

@@ -355,6 +355,21 @@ def test_render_noise_against_the_sensor(frustum_range: tuple[RenderScene, Camer
     assert overall < 1.5
 
 
+def test_bands_of_rows_are_the_whole_picture(
+    frustum_range: tuple[RenderScene, Camera, FramePose], light: SunSky, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: a large frame comes in bands of rows; a target's box that lies across them must not show where. Expected: eight
+    bands of 16 rows make the picture that comes as one. Tolerance: last digits: a band begins a packet of rays of its own."""
+    scene, cam, view = frustum_range
+    region = target_regions(cam, view, scene.scene)
+    frame = (scene, cam, view, light, Render(samples=2, target_samples=4), 1, (1, 1), region)
+    whole = radiance.render_frame(*frame)
+    monkeypatch.setattr(radiance, "BAND_PIXELS", 16 * cam.width_px)
+    bands = list(radiance.render_bands(*frame))
+    assert [len(band) for band in bands] == [16] * 8 and region[0][2] < 48 and region[0][4] > 80
+    assert np.concatenate(bands) == pytest.approx(whole, rel=1e-5)
+
+
 def test_same_bytes_for_other_tiles_and_threads(
     frustum_range: tuple[RenderScene, Camera, FramePose], light: SunSky, tmp_path: Path
 ) -> None:
