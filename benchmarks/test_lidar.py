@@ -1,7 +1,8 @@
 """LiDAR pulses a second, with noise, digitising and detection, and how near the echoes are to brute force.
 
 Three grounds of 320 000 triangles under an instrument of 1.8 million pulses a second and 0.5 mrad: with the quickstart's
-targets, flat, and with leaves. Every packet is kept. Brute force traces 256 sub-rays of every pulse with another ray caster.
+targets, flat, and with leaves. Every packet is kept. Brute force traces every sub-ray (256 by default) of every
+pulse with another ray caster.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,9 +15,11 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from campaign import las
 from campaign.config import Config
+from campaign.truth import TrueReturnsWriter
 from scenes.model import Mesh, Scene
 from simulator import rig
 from simulator.device import Device, normals
+from simulator.fly_lidar import write_strip
 from simulator.footprint import Optics
 from simulator.georeference import Track
 from simulator.lidar import StripChunk, backscatter, optics_from, simulate_strip
@@ -36,7 +39,7 @@ HALF_C_M_NS = 0.5e-9 * SPEED_OF_LIGHT_M_S
 def fast(config: Config) -> Config:
     """The quickstart's scanner at the pulse rate of the fastest UAV instruments."""
     scanner = config.lidar.scanner.model_copy(update={"scan_rate_hz": 400.0})
-    lidar = config.lidar.model_copy(update={"prr_hz": 1_800_000.0, "subrays": 256, "scanner": scanner})
+    lidar = config.lidar.model_copy(update={"prr_hz": 1_800_000.0, "scanner": scanner})
     recording = config.recording.model_copy(update={"waveforms": "all"})
     return config.model_copy(update={"lidar": lidar, "recording": recording})
 
@@ -143,7 +146,7 @@ def test_strip_written(
     record: Record,
     tmp_path: Path,
 ) -> None:
-    """LAS with every packet, and the LAZ twin. In a campaign a second thread writes while the next chunk is made; not here."""
+    """What a campaign writes of a strip, as it writes it: LAS, .wdp with every packet, compressed twin, truth."""
     config = fast(quickstart.config)
     spec = las.LasSpec(
         projection_epsg=config.site.projection_epsg,
@@ -159,9 +162,11 @@ def test_strip_written(
     strip, count = flown("targets")
 
     def write() -> None:
-        with las.StripWriter(tmp_path / "strip_01.las", tmp_path / "strip_01_points.laz", spec) as writer:
-            for chunk in strip():
-                writer.write(chunk.returns, chunk.packets)
+        with (
+            las.StripWriter(tmp_path / "strip_01.las", tmp_path / "strip_01_points.laz", spec) as writer,
+            TrueReturnsWriter(tmp_path / "returns_01_01.npz") as truth,
+        ):
+            write_strip(strip(), writer, truth)
 
     record(lidar_pulses_per_s=rate(benchmark, write, count))
 

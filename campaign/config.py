@@ -213,7 +213,10 @@ class Lidar(Model):
     prr_hz: Positive = 300_000.0
     scanner: Scanner = Scanner()
     divergence_rad: Positive = Field(0.0005, description="full angle at 1/e^2 of the peak irradiance")
-    subrays: Annotated[int, Field(ge=1, le=1024)] = 19
+    subrays: Annotated[int, Field(ge=1, le=1024)] = Field(
+        256,
+        description="rays that resolve a footprint on edges, rims and leaves; one surface or crease has a closed form",
+    )
     pulse_energy_uj: Positive = 0.5
     pulse_fwhm_ns: Positive = 4.0
     aperture_diameter_m: Positive = 0.05

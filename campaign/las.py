@@ -67,6 +67,9 @@ class Returns:
 GENERATING_SOFTWARE = "testrange"
 SCALE_M = 0.0001
 SCAN_ANGLE_STEP_DEG = 0.006
+TWIN_POINTS = (
+    400_000  # compressed at once: eight of LAZ's own chunks, so that every core has some (lazrs lets nobody else run)
+)
 MAX_CHUNK_BYTES = 256_000_000
 SCAN_BYTES = 8_000_000  # of records at once where few columns are looked at
 # Extra bytes in the order of the record: name, type, unit and meaning (32 characters), field of Returns. RIEGL's names first.
@@ -107,6 +110,8 @@ class StripWriter:
                 laz_backend=laspy.LazBackend.LazrsParallel,
                 closefd=False,
             )
+            self._twin = np.empty(TWIN_POINTS, self._laz.header.point_format.dtype())
+            self._waiting = 0
 
     def write(self, returns: Returns, packets: np.ndarray) -> None:
         """Append returns and the packets that they refer to."""
@@ -119,12 +124,26 @@ class StripWriter:
             self._files[1].write(np.ascontiguousarray(packets, "<u2").data)
             if count:
                 record = self._las_record(returns)
-                twin = np.empty(count, self._laz.header.point_format.dtype())
-                for name in twin.dtype.names or ():
-                    twin[name] = record[name]
                 self._las.write_points(laspy.PackedPointRecord(record, self._las.header.point_format))
-                self._laz.write_points(laspy.PackedPointRecord(twin, self._laz.header.point_format))
+                self._write_twin(record)
             self._packets += len(packets)
+
+    def _write_twin(self, record: np.ndarray) -> None:
+        """Put points into the compressed twin's batch, and compress it when it is full."""
+        done = 0
+        while done < len(record):
+            part = record[done : done + TWIN_POINTS - self._waiting]
+            batch = self._twin[self._waiting : self._waiting + len(part)]
+            for name in self._twin.dtype.names or ():
+                batch[name] = part[name]
+            done, self._waiting = done + len(part), self._waiting + len(part)
+            if self._waiting == TWIN_POINTS:
+                self._compress()
+
+    def _compress(self) -> None:
+        points, self._waiting = self._twin[: self._waiting], 0
+        if len(points):
+            self._laz.write_points(laspy.PackedPointRecord(points, self._laz.header.point_format))
 
     def _las_record(self, returns: Returns) -> np.ndarray:
         spec = self._spec
@@ -163,6 +182,7 @@ class StripWriter:
             return
         with self._cleaning():
             self._las.close()
+            self._compress()
             self._laz.close()
             length = self._first_byte - 60 + self._packets * self._packet_bytes
             self._files[1].seek(0)

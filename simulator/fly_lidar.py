@@ -1,5 +1,6 @@
 """The LiDAR in flight: every strip fired and written, chunk by chunk. What a pulse does is `simulator.lidar`'s."""
 
+from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
@@ -11,7 +12,7 @@ from campaign.folder import CampaignFolder
 from campaign.progress import Report
 from simulator import rig
 from simulator.journal import Journal
-from simulator.lidar import simulate_strip
+from simulator.lidar import StripChunk, simulate_strip
 from simulator.world import Range
 
 
@@ -57,23 +58,32 @@ def fly_lidar(world: Range, place: CampaignFolder, progress: Report, journal: Jo
             rig.nominal_lidar(config),
             world.frame,
         )
-        waiting: Future[None] | None = None
         with (
-            ThreadPoolExecutor(1) as pool,
             las.StripWriter(folder.strip_las(strip.number), folder.strip_points(strip.number), spec) as writer,
             truth_files.TrueReturnsWriter(true_returns) as truth,
         ):
-            for chunk in chunks:
-                if waiting is not None:
-                    waiting.result()
-                waiting = pool.submit(writer.write, chunk.returns, chunk.packets)
-                truth.write(chunk.truth)
-            if waiting is not None:
-                waiting.result()
-            if truth.count == 0:
-                raise ConfigError(
-                    "no pulse of a strip gave an echo", remedy="check flight.heights_m and lidar.pulse_energy_uj"
-                )
+            write_strip(chunks, writer, truth)
         las_file = folder.strip_las(strip.number)
         journal.finish(unit, [las_file, las_file.with_suffix(".wdp"), folder.strip_points(strip.number), true_returns])
         progress("lidar", done, len(strips))
+
+
+def write_strip(chunks: Iterable[StripChunk], writer: las.StripWriter, truth: truth_files.TrueReturnsWriter) -> None:
+    """Write a strip's chunks as they come, each on a second thread while the next ones are made.
+
+    Raises
+    ------
+    ConfigError
+        There is no return at all.
+    """
+    waiting: Future[None] | None = None
+    with ThreadPoolExecutor(1) as pool:
+        for chunk in chunks:
+            if waiting is not None:
+                waiting.result()
+            waiting = pool.submit(writer.write, chunk.returns, chunk.packets)
+            truth.write(chunk.truth)
+        if waiting is not None:
+            waiting.result()
+    if truth.count == 0:
+        raise ConfigError("no pulse of a strip gave an echo", remedy="check flight.heights_m and lidar.pulse_energy_uj")

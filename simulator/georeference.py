@@ -19,7 +19,7 @@ _CENTRE_M = np.array([0.0, 0.0, 500.0])
 def beams_world(
     motion: Motion, gps_time_s: np.ndarray, mounting: SensorMounting, direction_sensor: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Origins, directions and attitudes of beams in the world frame.
+    """Origins and directions of beams in the world frame.
 
     Parameters
     ----------
@@ -34,8 +34,8 @@ def beams_world(
 
     Returns
     -------
-    (n, 3) ndarray, (n, 3) ndarray, (n, 3) ndarray
-        Origin [m], unit direction, roll pitch heading [rad].
+    (n, 3) ndarray, (n, 3) ndarray, (2, n) ndarray
+        Origin [m]; unit direction; its components to the right of the heading, and down.
     """
     return Track(motion).beams(gps_time_s, mounting, direction_sensor)
 
@@ -55,12 +55,12 @@ class Track:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `beams_world`."""
         n = len(gps_time_s)
-        origin, direction, rpy = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
+        origin, direction, level = np.empty((n, 3)), np.empty((n, 3)), np.empty((2, n))
         arm = np.asarray(mounting.lever_arm_m, np.float64)
         rotation = np.ascontiguousarray(mounting.rotation, np.float64)
         time, beam = np.ascontiguousarray(gps_time_s, np.float64), np.ascontiguousarray(direction_sensor, np.float64)
-        _beams(self._time, self._pose, time, rotation, arm, beam, origin, direction, rpy)
-        return origin, direction, rpy
+        _beams(self._time, self._pose, time, rotation, arm, beam, origin, direction, level)
+        return origin, direction, level
 
 
 @numba.njit(cache=True, nogil=True)
@@ -85,7 +85,7 @@ def _beams(
     beam: np.ndarray,
     origin: np.ndarray,
     direction: np.ndarray,
-    rpy: np.ndarray,
+    level: np.ndarray,
 ) -> None:
     """Body FRD vectors into world ENU axes: Rx(roll), Ry(pitch), Rz(heading) in turn. `pose`: position, angles, cosines, sines."""
     last = len(sample_time) - 2
@@ -104,17 +104,16 @@ def _beams(
             part = min(max((t - sample_time[j]) / (sample_time[j + 1] - sample_time[j]), 0.0), 1.0)
         to = j + 1 if last >= 0 else j
         for k in range(3):
-            step = part * (pose[to, 3 + k] - pose[j, 3 + k])
-            rpy[i, k] = pose[j, 3 + k] + step
             vector[1, k] = rotation[k, 0] * beam[i, 0] + rotation[k, 1] * beam[i, 1] + rotation[k, 2] * beam[i, 2]
-        cr, sr = _turned(pose[j, 6], pose[j, 9], rpy[i, 0] - pose[j, 3])
-        cp, sp = _turned(pose[j, 7], pose[j, 10], rpy[i, 1] - pose[j, 4])
-        ch, sh = _turned(pose[j, 8], pose[j, 11], rpy[i, 2] - pose[j, 5])
+        cr, sr = _turned(pose[j, 6], pose[j, 9], part * (pose[to, 3] - pose[j, 3]))
+        cp, sp = _turned(pose[j, 7], pose[j, 10], part * (pose[to, 4] - pose[j, 4]))
+        ch, sh = _turned(pose[j, 8], pose[j, 11], part * (pose[to, 5] - pose[j, 5]))
         for k in range(2):
             x, y, z = vector[k, 0], vector[k, 1], vector[k, 2]
             y, z = cr * y - sr * z, sr * y + cr * z
             x, z = cp * x + sp * z, cp * z - sp * x
             out[k, 0], out[k, 1], out[k, 2] = sh * x + ch * y, ch * x - sh * y, -z
+            level[0, i], level[1, i] = y, z  # the beam's, which is the last
         for k in range(3):
             origin[i, k] = pose[j, k] + part * (pose[to, k] - pose[j, k]) + out[0, k]
             direction[i, k] = out[1, k]

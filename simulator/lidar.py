@@ -28,7 +28,7 @@ from simulator.frames import SiteFrame
 from simulator.georeference import MapPatch, Track
 from simulator.motion import Motion, SensorMounting, Strip
 from simulator.pulses.caster import Caster
-from simulator.pulses.rows import finish, inside, place, select
+from simulator.pulses.rows import attributes, finish, inside, place, select
 from simulator.radar_equation import (
     FWHM_PER_SIGMA,
     SPEED_OF_LIGHT_M_S,
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
 
 BLOCK = 8192  # pulses that are worked on at once, and stay in a core's cache; a chunk is whole blocks
 HALF_C_M_PS = 0.5 * SPEED_OF_LIGHT_M_S * 1e-12  # length of the packets' direction vector
-ALONE_M = 0.05  # a single return this close to the beam's axis is the axis' surface
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,7 +204,6 @@ class _Part:
 
     returns: dict[str, np.ndarray]
     truth: dict[str, np.ndarray]
-    packets: np.ndarray
 
 
 class _Strip:
@@ -235,21 +233,15 @@ class _Strip:
         self._near_target = None if config.recording.waveforms == "all" else _NearTargets(config, scene)
         self._step_m = 0.5e-9 * SPEED_OF_LIGHT_M_S * lidar.sampling_ns
         self._setting = np.array([self._step_m, lidar.min_range_m, FWHM_PER_SIGMA * lidar.sampling_ns])
-        mesh = scene.mesh
-        corner = mesh.vertices_m[mesh.faces]
-        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        self._normal = (normal / np.linalg.norm(normal, axis=1, keepdims=True)).astype(np.float32)
-        self._target = mesh.target.astype(np.int32)
-        self._part = np.where(mesh.part <= 9, mesh.part, -1).astype(np.int8)
 
     def chunk(self, start: int) -> tuple[StripChunk | None, float]:
         """Rows of the chunk that begins with pulse `start`, None where no pulse gave an echo; the farthest surface hit [m]."""
         end = min(start + self._config.recording.pulses_per_chunk, self.count)
-        parts, farthest, packets = [], 0.0, 0
+        packets = np.empty((end - start, self._config.lidar.samples), np.uint16)
+        parts, farthest, stored = [], 0.0, 0
         for first in range(start, end, BLOCK):
-            part, far_m = self._block(first, min(BLOCK, end - first), packets)
+            part, far_m, stored = self._block(first, min(BLOCK, end - first), packets, stored)
             farthest = max(farthest, far_m)
-            packets += len(part.packets)
             parts.append(part)
         if not sum(len(p.returns["packet"]) for p in parts):
             return None, farthest
@@ -258,13 +250,14 @@ class _Strip:
         return (
             StripChunk(
                 returns=Returns(**joined),
-                packets=np.concatenate([p.packets for p in parts]),
+                packets=packets[:stored],
                 truth=TrueReturns(**known),
             ),
             farthest,
         )
 
-    def _block(self, first: int, n: int, packets: int) -> tuple[_Part, float]:
+    def _block(self, first: int, n: int, packets: np.ndarray, stored: int) -> tuple[_Part, float, int]:
+        """Rows of n pulses, the farthest surface, and how many of the chunk's `packets` are full: `stored` were before."""
         lidar, faults, scanner = self._config.lidar, self._config.faults, self.scanner
         # ---- fire: the true motion steers the beams ----
         pulses = scanner.pulses(np.arange(first, first + n))
@@ -279,7 +272,7 @@ class _Strip:
         # ---- post-processing: the estimated motion at the stamped time places the returns ----
         stamped = time_s + faults.lidar_clock_s
         beam = scanner.direction(encoder_rad, pulses.channel)
-        origin, direction, rpy = self._estimated[0].beams(stamped, self._estimated[1], beam)
+        origin, direction, level = self._estimated[0].beams(stamped, self._estimated[1], beam)
         rows = int(found.count.sum())
         kinds = (np.int64, np.uint8, np.uint8, np.float64, np.float64, np.float32, np.float32)
         out: list[np.ndarray] = [np.empty(rows, kind) for kind in kinds]
@@ -289,7 +282,7 @@ class _Strip:
         measured_m, world = measured_range_m(seen_m, faults), np.empty((rows, 3))
         place(pulse, measured_m, origin, direction, world)
         xyz, packet, location = np.empty((rows, 3)), np.empty(rows, np.int64), np.empty(rows, np.float32)
-        towards, kept = np.empty((rows, 3), np.float32), np.empty((n, waves.shape[1]), np.uint16)
+        towards = np.empty((rows, 3), np.float32)
         stored = finish(
             pulse,
             np.ones(rows, np.bool_) if self._near_target is None else self._near_target(world),
@@ -298,49 +291,39 @@ class _Strip:
             self._chart.relative(origin),
             self._chart.origin_m,
             waves,
-            packets,
+            stored,
             1e3 * lidar.sampling_ns,
             HALF_C_M_PS,
             xyz,
             packet,
             location,
             towards,
-            kept,
+            packets,
         )
-        heading = rpy[:, 2]
-        right = direction[:, 0] * np.cos(heading) - direction[:, 1] * np.sin(heading)
-        scan_angle = np.degrees(np.arctan2(right, -direction[:, 2])).astype(np.float32)
+        own = (np.float64, np.uint16, np.float32, np.float32, np.uint8)
+        row_time_s, intensity, scan_angle_deg, encoder_deg, channel = of = [np.empty(rows, kind) for kind in own]
+        attributes(pulse, amplitude, stamped, level, encoder_rad, pulses.channel, *of)
+        power = (amplitude * measured_m**2 / self._optics.scale_dn_m2).astype(np.float32)
         returns = {
             "xyz_m": xyz,
-            "gps_time_s": stamped[pulse],
-            "intensity": np.clip(np.round(np.float32(16.0) * amplitude), 0, 65535).astype(np.uint16),
+            "gps_time_s": row_time_s,
+            "intensity": intensity,
             "return_number": number,
             "number_of_returns": siblings,
-            "scan_angle_deg": scan_angle[pulse],
-            "encoder_angle_deg": np.degrees(encoder_rad).astype(np.float32)[pulse],
-            "channel": pulses.channel[pulse],
+            "scan_angle_deg": scan_angle_deg,
+            "encoder_angle_deg": encoder_deg,
+            "channel": channel,
             "amplitude": amplitude,
             "pulse_width_ns": width_ns,
-            "reflectance_db": np.float32(10.0)
-            * np.log10((amplitude * measured_m**2 / self._optics.scale_dn_m2).astype(np.float32)),
+            "reflectance_db": np.float32(10.0) * np.log10(power),
             "strip": np.full(rows, self._strip.number, np.uint16),
             "packet": packet,
             "return_location_ps": location,
             "wave_direction_m_ps": towards,
         }
-        # ---- truth ----
-        from_m = seen_m - shift_m[pulse]
-        alone = (siblings <= 1) & (np.abs(from_m - seen.extent_m[pulse, 0]) <= ALONE_M)
-        range_m, face = self._caster.surfaces(seen, pulse, from_m, alone)
-        truth = {
-            "range_m": range_m,
-            "normal_world": self._normal[face],
-            "target": self._target[face],
-            "face": self._part[face],
-        }
-        hit = seen.count > 0
-        far_m = float(seen.extent_m[hit, 2].max()) if hit.any() else 0.0
-        return _Part(returns=returns, truth=truth, packets=kept[: stored - packets]), far_m
+        truth = self._caster.truth(seen, pulse, siblings, seen_m, shift_m)
+        far_m = float(np.fmax.reduce(seen.extent_m[:, 2], initial=0.0))
+        return _Part(returns=returns, truth=truth), far_m, stored
 
 
 class _NearTargets:

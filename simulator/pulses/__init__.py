@@ -6,7 +6,8 @@ surface    what it sees of one smooth surface, or of two that meet in an edge
 cone       what it sees of anything else, as a few echoes
 caster     the four together, for a scene and a LiDAR
 sampling   echoes to samples, noise, whole steps
-rows       detected echoes to rows
+detection  samples to echoes
+rows       detected echoes to rows, and their truth
 
 Each kernel stands in one file with all that it calls: Numba's cache notices changes of that file alone.
 """

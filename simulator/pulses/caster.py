@@ -7,8 +7,9 @@ import numpy as np
 
 from scenes.model import Mesh
 from simulator.footprint import Footprint, Optics, gaussian_footprint
-from simulator.pulses.cone import nearest_hit, see_mixed
+from simulator.pulses.cone import see_mixed
 from simulator.pulses.fan import touch
+from simulator.pulses.rows import true_surfaces
 from simulator.pulses.surface import see_surfaces
 from simulator.pulses.tree import tree_of
 from simulator.radar_equation import SPEED_OF_LIGHT_M_S
@@ -18,7 +19,7 @@ FEW = 61  # sub-rays where a footprint's triangles are one creased surface
 
 @dataclass(frozen=True, kw_only=True)
 class Seen:
-    """Echoes of n beams before noise. Rows are triangles in the order of the tree."""
+    """Echoes of n beams before noise. Rows are triangles in the order of the tree: `Caster.face` has their numbers."""
 
     echo: np.ndarray  # (e, 3) float64: peak [DN], range [m], added variance [m2]
     first: np.ndarray  # (n,) int64: of each pulse's rows in `echo`
@@ -45,7 +46,12 @@ class Caster:
         tree = tree_of(mesh.vertices_m, mesh.faces)
         pattern = optics.footprint
         offset = pattern.offset.astype(np.float32)
-        self._tree = tree
+        self.face = tree.face  # number in the mesh of each row of the tree
+        self._about = (
+            tree.normal,
+            mesh.target.astype(np.int32),
+            np.where(mesh.part <= 9, mesh.part, -1).astype(np.int8),
+        )
         self._touch = (tree.box.ravel(), tree.level, tree.block.ravel(), len(tree.corner))
         self._reach = float(np.hypot(offset[:, 0], offset[:, 1]).max())
         rho = np.ascontiguousarray(backscatter[mesh.material[tree.face]], np.float64)
@@ -75,26 +81,24 @@ class Caster:
             hit_row=hit_row,
         )
 
-    def surfaces(
-        self, seen: Seen, pulse: np.ndarray, range_m: np.ndarray, alone: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Which surface each return came from: the beam axis', or where surfaces lie apart the sub-ray's nearest in range.
+    def truth(
+        self, seen: Seen, pulse: np.ndarray, siblings: np.ndarray, range_m: np.ndarray, shift_m: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """`TrueReturns` of r returns: of the surface at the beam's axis, or where surfaces lie apart of the sub-ray nearest in
+        range; a single return close to the axis' surface is that surface's.
 
         Parameters
         ----------
         seen : Seen
-        pulse : (r,) ndarray
-            Of each return.
+        pulse, siblings : (r,) ndarray
+            Of each return; how many returns its pulse has.
         range_m : (r,) ndarray
             Where the device saw it. [m]
-        alone : (r,) ndarray, bool
-            The axis' surface, whatever else there is.
-
-        Returns
-        -------
-        (r,) ndarray, (r,) ndarray
-            Range [m] and face in the mesh.
+        shift_m : (n,) ndarray
+            How much too far away, of each pulse. [m]
         """
-        found_m, row = seen.extent_m[pulse, 0], seen.axis_row[pulse]
-        nearest_hit(range_m, np.where(alone, np.int32(-1), seen.slot[pulse]), seen.hit_m, seen.hit_row, found_m, row)
-        return found_m, self._tree.face[row]
+        rows = len(pulse)
+        out = (np.empty(rows), np.empty((rows, 3), np.float32), np.empty(rows, np.int32), np.empty(rows, np.int8))
+        which = (pulse, siblings, range_m, shift_m, seen.extent_m, seen.axis_row, seen.slot, seen.hit_m, seen.hit_row)
+        true_surfaces(*which, self.face, *self._about, *out)
+        return dict(zip(("range_m", "normal_world", "target", "face"), out, strict=True))

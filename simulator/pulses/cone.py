@@ -279,18 +279,3 @@ def see_mixed(
             slot[i] = slots
             slots += 1
     return echo, slot, hit_m[:slots], hit_row[:slots]
-
-
-@numba.njit(cache=True, nogil=True)
-def nearest_hit(
-    wanted_m: np.ndarray, slot: np.ndarray, hit_m: np.ndarray, hit_row: np.ndarray, range_m: np.ndarray, row: np.ndarray
-) -> None:
-    """Which surface each return came from: of its footprint's sub-rays, the hit nearest in range. Rows without a slot stay."""
-    for i in range(len(wanted_m)):
-        if slot[i] < 0:
-            continue
-        best = np.inf
-        for s in range(hit_m.shape[1]):
-            if hit_row[slot[i], s] >= 0 and abs(hit_m[slot[i], s] - wanted_m[i]) < best:
-                best = abs(hit_m[slot[i], s] - wanted_m[i])
-                range_m[i], row[i] = hit_m[slot[i], s], hit_row[slot[i], s]

@@ -16,19 +16,19 @@ OUTSIDE, WHOLE, BROKEN = 3, 4, 5  # how a triangle stands to a cone, beside the 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _over(plane: np.ndarray, t: int, origin: np.ndarray) -> float:
-    """Height of a triangle's plane over the beam's origin, along its normal. [m]"""
-    height: float = plane[t, 3] - plane[t, 0] * origin[0] - plane[t, 1] * origin[1] - plane[t, 2] * origin[2]
+def _over(plane: np.ndarray, t: int, beam: np.ndarray) -> float:
+    """Height of a triangle's plane over the beam's origin, along its normal. `beam`: origin, then direction. [m]"""
+    height: float = plane[t, 3] - plane[t, 0] * beam[0] - plane[t, 1] * beam[1] - plane[t, 2] * beam[2]
     return height
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _hidden(corner: np.ndarray, plane: np.ndarray, t: int, cover: int, origin: np.ndarray) -> bool:
+def _hidden(corner: np.ndarray, plane: np.ndarray, t: int, cover: int, beam: np.ndarray) -> bool:
     """Whether triangle t lies behind the plane of another that covers the cone."""
-    nx, ny, nz, height = plane[cover, 0], plane[cover, 1], plane[cover, 2], _over(plane, cover, origin)
+    nx, ny, nz, height = plane[cover, 0], plane[cover, 1], plane[cover, 2], _over(plane, cover, beam)
     sign = math.copysign(1.0, height)
     for k in range(0, 9, 3):
-        x, y, z = corner[t, k] - origin[0], corner[t, k + 1] - origin[1], corner[t, k + 2] - origin[2]
+        x, y, z = corner[t, k] - beam[0], corner[t, k + 1] - beam[1], corner[t, k + 2] - beam[2]
         if sign * (nx * x + ny * y + nz * z) < abs(height) - 1e-5:
             return False
     return True
@@ -62,15 +62,15 @@ def _passes(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _stands(corner: np.ndarray, t: int, origin: np.ndarray, axis: np.ndarray, reach: float) -> int:
+def _stands(corner: np.ndarray, t: int, beam: np.ndarray, reach: float) -> int:
     """How a triangle stands to the cone: OUTSIDE, WHOLE, BROKEN, or the number of the only edge that runs through the cone.
 
     `fan.touch` decides the same in single precision, from another origin, with slack to both sides.
     """
-    dx, dy, dz = axis[0], axis[1], axis[2]
-    px, py, pz = corner[t, 0] - origin[0], corner[t, 1] - origin[1], corner[t, 2] - origin[2]
-    qx, qy, qz = corner[t, 3] - origin[0], corner[t, 4] - origin[1], corner[t, 5] - origin[2]
-    wx, wy, wz = corner[t, 6] - origin[0], corner[t, 7] - origin[1], corner[t, 8] - origin[2]
+    dx, dy, dz = beam[3], beam[4], beam[5]
+    px, py, pz = corner[t, 0] - beam[0], corner[t, 1] - beam[1], corner[t, 2] - beam[2]
+    qx, qy, qz = corner[t, 3] - beam[0], corner[t, 4] - beam[1], corner[t, 5] - beam[2]
+    wx, wy, wz = corner[t, 6] - beam[0], corner[t, 7] - beam[1], corner[t, 8] - beam[2]
     turn, edge, within = 0.0, WHOLE, True
     for k in range(3):
         x, y, z = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
@@ -109,8 +109,7 @@ def _crease(
     a: int,
     b: int,
     edge: int,
-    origin: np.ndarray,
-    axis: np.ndarray,
+    beam: np.ndarray,
     spread: float,
     side: np.ndarray,
 ) -> int:
@@ -121,8 +120,8 @@ def _crease(
     normal distribution, and along the edge nothing is cut. To second order in the footprint's angles. Returns which of the two
     the axis hits; -1 where they are folded onto each other.
     """
-    dx, dy, dz = axis[0], axis[1], axis[2]
-    ox, oy, oz = origin[0], origin[1], origin[2]
+    dx, dy, dz = beam[3], beam[4], beam[5]
+    ox, oy, oz = beam[0], beam[1], beam[2]
     # ---- the plane through the edge and the beam's origin; its normal points to a's side ----
     p, q = 3 * edge, 3 * ((edge + 1) % 3)
     px, py, pz = corner[a, p] - ox, corner[a, p + 1] - oy, corner[a, p + 2] - oz
@@ -152,7 +151,7 @@ def _crease(
         square = variance + mean * mean
         nx, ny, nz = plane[t, 0], plane[t, 1], plane[t, 2]
         cosine = nx * dx + ny * dy + nz * dz
-        range_m = _over(plane, t, origin) / cosine
+        range_m = _over(plane, t, beam) / cosine
         across = (nx * mx + ny * my + nz * mz) / cosine - sine
         tangent = max(1.0 - cosine * cosine, 0.0) / (cosine * cosine)
         along = max(tangent - across * across, 0.0) * spread * spread
@@ -236,16 +235,18 @@ def see_surfaces(
     echo, echoes = np.empty((2 * n + 64, 3)), 0
     extent_m, axis_row = np.full((n, 3), np.nan), np.full(n, -1, np.int64)
     left, others = np.empty(n, np.int64), 0
-    stands, side = np.empty(64, np.int64), np.empty((2, 5))
+    stands, side, beam = np.empty(64, np.int64), np.empty((2, 5)), np.empty(6)
     for i in range(n):
         begin, touched = touch_first[i], 0
+        for k in range(3):
+            beam[k], beam[3 + k] = origin[i, k], direction[i, k]
         if touch_count[i] > len(stands):
             stands = np.empty(2 * touch_count[i], np.int64)
         for j in range(begin, begin + touch_count[i]):
             t = touch_row[j]
             how = WHOLE
             if touch_count[i] > 1 or not touch_whole[j]:
-                how = _stands(corner, t, origin[i], direction[i], reach)
+                how = _stands(corner, t, beam, reach)
             if how != OUTSIDE:
                 touch_row[begin + touched], stands[touched] = t, how
                 touched += 1
@@ -253,7 +254,7 @@ def see_surfaces(
         touching = touch_row[begin : begin + touched]
         if touched == 0:
             continue
-        dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
+        dx, dy, dz = beam[3], beam[4], beam[5]
         first[i] = echoes
         # ---- smooth: a Gaussian beam on a tilted plane ----
         cover, range_m, cosine = -1, np.inf, 1.0
@@ -261,14 +262,14 @@ def see_surfaces(
             if stands[j] == WHOLE:
                 t = touching[j]
                 along = plane[t, 0] * dx + plane[t, 1] * dy + plane[t, 2] * dz
-                here_m = _over(plane, t, origin[i]) / along
+                here_m = _over(plane, t, beam) / along
                 if here_m < range_m:
                     cover, range_m, cosine = t, here_m, abs(along)
         tangent = math.sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, 1e-9)
         smooth = cover >= 0 and reach * tangent < CURVED
         for j in range(touched):
             if smooth and touching[j] != cover:
-                smooth = _hidden(corner, plane, touching[j], cover, origin[i])
+                smooth = _hidden(corner, plane, touching[j], cover, beam)
         if smooth:
             tilt = (tangent * spread) ** 2
             peak = scale * rho[cover] * cosine / range_m**2 * (1.0 + 3.0 * tilt - 3.0 * spread**2)
@@ -287,7 +288,7 @@ def see_surfaces(
         if touched == 2 and max(stands[0], stands[1]) < OUTSIDE:
             a, b = touching[0], touching[1]
             if _shared(corner, a, stands[0], b, stands[1]):
-                on = _crease(corner, plane, a, b, stands[0], origin[i], direction[i], spread, side)
+                on = _crease(corner, plane, a, b, stands[0], beam, spread, side)
         if on >= 0:
             near_m = min(side[0, 3] * (1.0 - reach * side[0, 4]), side[1, 3] * (1.0 - reach * side[1, 4]))
             far_m = max(side[0, 3] * (1.0 + reach * side[0, 4]), side[1, 3] * (1.0 + reach * side[1, 4]))

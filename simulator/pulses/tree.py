@@ -23,6 +23,7 @@ class Tree:
     face: np.ndarray  # (t,) int64: number in the mesh
     block: np.ndarray  # (b, 9, 32) float32: the same vertices by blocks; past the last triangle, the first one again
     box: np.ndarray  # (m, 6, 32) float32: centre and half size of 32 nodes; a missing node's half size is negative [m]
+    normal: np.ndarray  # (t, 3) float32: unit normals, in the mesh's order, of its own vertices
     level: np.ndarray  # (l,) int64: where each level begins in `box`, the leaves' own first; the last level is one row
 
 
@@ -64,6 +65,7 @@ def build_tree(vertices_m: np.ndarray, faces: np.ndarray) -> Tree:
     return Tree(
         corner=corner,
         plane=_planes(corner),
+        normal=_planes(vertices_m[faces].reshape(-1, 9))[:, :3].astype(np.float32),
         face=order,
         block=np.ascontiguousarray(filled.reshape(-1, WIDE, 9).transpose(0, 2, 1)),
         box=np.ascontiguousarray(np.concatenate(boxes)),

@@ -73,10 +73,10 @@ def test_patterns_that_cannot_be_round_are_refused(subrays: int) -> None:
 def test_import_compiles_and_renders_nothing() -> None:
     """Rationale: start-up time. Expected: importing the module loads neither Mitsuba nor a compiled specialisation."""
     code = (
-        "import sys, simulator.lidar, simulator.device as d, simulator.georeference as g\n"
-        "from simulator.pulses import cone, fan, sampling, surface\n"
+        "import sys, simulator.lidar, simulator.device, simulator.georeference as g\n"
+        "from simulator.pulses import cone, detection, fan, sampling, surface\n"
         "assert 'mitsuba' not in sys.modules and 'drjit' not in sys.modules\n"
-        "compiled = d._detect, g._cubic, g._beams, cone.see_mixed, surface.see_surfaces, fan.touch, sampling.sample\n"
+        "compiled = detection.detect, g._cubic, g._beams, cone.see_mixed, surface.see_surfaces, fan.touch, sampling.sample\n"
         "assert not any(f.signatures for f in compiled)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -126,9 +126,7 @@ def test_rims_and_rough_ground_equal_brute_force() -> None:
     scene, beams = with_plates(400, 0.3), scan(30_000)
     seen, brute = both(scene, beams, how)
     assert np.array_equal(seen.count > 0, brute.hits > 0)
-    face = Caster(scene.mesh, RHO, how).surfaces(
-        seen, np.arange(len(seen.count)), seen.extent_m[:, 0], np.ones(len(seen.count), bool)
-    )[1]
+    face = Caster(scene.mesh, RHO, how).face[seen.axis_row]
     assert np.mean(face != brute.axis_face) < 2e-4
     wave, known = waveform(seen, brute.start_sample, how), brute.waveform_dn.astype(float)
     rim = seen.slot >= 0
