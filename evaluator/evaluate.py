@@ -6,7 +6,7 @@ searched. Then the indicators, then conformity. An indicator that cannot be had 
 others. Nothing under truth/ is opened.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,7 @@ from evaluator.observe.panels import ImagePanelObservation, LidarPanelObservatio
 from evaluator.observe.picks import target_points
 from evaluator.results import Evaluation, PanelValue, Region
 from evaluator.results_model import IndicatorValue, not_measured
+from evaluator.returns_store import ReturnsStore
 
 __all__ = ["evaluate_campaign", "read_campaign"]
 
@@ -213,17 +214,17 @@ def _collect_radius_m(data: CampaignData) -> float:
 
 def _returns_near_targets(
     data: CampaignData, findings: _Findings, progress: Report
-) -> dict[tuple[int, int, str], TargetReturns]:
+) -> Mapping[tuple[int, int, str], TargetReturns]:
     strips = sum(len(s.strips) for s in data.sorties)
     progress("point cloud", 0, strips)
     centres = {t.id: np.array([t.easting_m, t.northing_m, t.height_m]) for t in data.targets}
-    found: dict[tuple[int, int, str], TargetReturns] = {}
+    found = ReturnsStore()
     done = 0
     for sortie in data.sorties:
         for strip in sortie.strips:
             one = _only(data, sortie, (strip,))
             try:
-                found |= collect_target_returns(one, centres, _collect_radius_m(data))
+                found.add(collect_target_returns(one, centres, _collect_radius_m(data)))
             except TestrangeError as error:
                 findings.problem(error)
             done += 1
@@ -297,7 +298,7 @@ def _look_for_targets(data: CampaignData, findings: _Findings, tools: Tools, pro
 
 def _geometry(
     data: CampaignData,
-    returns: dict[tuple[int, int, str], TargetReturns],
+    returns: Mapping[tuple[int, int, str], TargetReturns],
     findings: _Findings,
     tools: Tools,
     progress: Report,
@@ -351,7 +352,7 @@ def _mountings(data: CampaignData, geometry: GeometryResult | None) -> tuple[Mou
 
 def _lidar_panels(
     data: CampaignData,
-    returns: dict[tuple[int, int, str], TargetReturns],
+    returns: Mapping[tuple[int, int, str], TargetReturns],
     body_from_lidar: Mounting | None,
     findings: _Findings,
     tools: Tools,

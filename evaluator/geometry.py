@@ -91,11 +91,11 @@ def observe_vertices(
     trajectories = {s.folder.number: s.trajectory for s in data.sorties}
     found: list[VertexObservation] = []
     reasons: dict[str, str] = {}
-    for (sortie, strip, target), part in sorted(returns.items()):
+    for sortie, strip, target in sorted(returns):
         trajectory = trajectories.get(sortie)
         if target not in models or trajectory is None:
             continue
-        rows = part.returns
+        rows = returns[sortie, strip, target].returns
         inside = (rows.gps_time_s >= trajectory.gps_time_s[0]) & (rows.gps_time_s <= trajectory.gps_time_s[-1])
         time = rows.gps_time_s[inside]
         points = lidar_points(rows.xyz_m[inside], time, trajectory, data.rig, world_frame)

@@ -74,10 +74,10 @@ def observe_planes(
     planes: list[PlaneObservation] = []
     missing: dict[str, str] = {}
     rejected: list[str] = []
-    for (sortie, strip, name), part in sorted(returns.items()):
+    for sortie, strip, name in sorted(returns):
         if name not in panels or sortie not in sorties:
             continue
-        found = observe_plane(data, sorties[sortie], panels[name], part, body_from_lidar)
+        found = observe_plane(data, sorties[sortie], panels[name], returns[sortie, strip, name], body_from_lidar)
         if isinstance(found, PlaneObservation):
             planes.append(found)
         elif found.startswith("not "):

@@ -1,5 +1,7 @@
 """Received waveforms with their decomposition, one for each reflectance class: pictures for the report, no measurement."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from campaign.las import StripReader
@@ -16,7 +18,7 @@ _FINE = 8  # points of the drawn fit a sample
 
 def waveform_examples(
     data: CampaignData,
-    returns: dict[tuple[int, int, str], TargetReturns],
+    returns: Mapping[tuple[int, int, str], TargetReturns],
     observations: list[LidarPanelObservation],
     tools: Tools = OWN_TOOLS,
 ) -> list[WaveformExample]:
