@@ -49,7 +49,7 @@ from simulator.ripple import ripple_px, rippled
 INTERVAL_S = 20.0  # between pictures
 WALL_BEHIND_M = 1.5  # the wall stands this far behind the farthest position
 FLATNESS_M = 0.0  # the simulated board is a plane
-WAITING_FRAMES = 2  # rendered pictures that may wait for noise and file: bounds the memory
+WAITING_FRAMES = 1  # pictures whose noise and file are made while the next is rendered: bounds the memory
 _NOISE, _SAMPLES = 1, 2  # keys of the stream, after the plan's
 
 
