@@ -43,7 +43,7 @@ from simulator.scanner import scanner_from
 if TYPE_CHECKING:
     from simulator.render.scene import RenderScene
 
-BLOCK = 8192  # pulses that are worked on at once, and stay in a core's cache; a chunk is whole blocks
+BLOCK = 16_384  # pulses that are worked on at once; a chunk is whole blocks
 HALF_C_M_PS = 0.5 * SPEED_OF_LIGHT_M_S * 1e-12  # length of the packets' direction vector
 
 
