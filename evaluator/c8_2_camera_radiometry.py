@@ -15,12 +15,12 @@ from scipy import stats
 
 from campaign.bench import SphereExposure
 from campaign.progress import Report, silent
-from evaluator.bench_model import SphereResult, SphereSeries
+from evaluator.benches.bench_model import SphereResult, SphereSeries
+from evaluator.benches.series_trend import first_third, trend
 from evaluator.load import in_folder
 from evaluator.model import CampaignData, EvaluationError
 from evaluator.observe.sphere_images import CentralPixels, central_pixels, copied, unlit
 from evaluator.results_model import IndicatorValue, not_measured
-from evaluator.series_trend import first_third, trend
 
 MIN_IMAGES = 3
 WARM_UP_S = 1200.0  # 8.2.2.1 c and 8.2.2.2 c

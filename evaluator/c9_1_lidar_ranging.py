@@ -1,7 +1,7 @@
 """Clause 9.1: ranging error of the LiDAR, formulas (9)-(15), and the indicator m_z from a campaign's ranging line.
 
-The total station's side with (12) is in `evaluator.total_station` and offered here too, the records are gathered in
-`evaluator.ranging_observations`.
+The total station's side with (12) is in `evaluator.benches.total_station` and offered here too, the records are gathered in
+`evaluator.benches.ranging_observations`.
 """
 
 import numpy as np
@@ -9,13 +9,18 @@ from numpy.typing import ArrayLike
 
 from campaign.progress import Report
 from campaign.ranging import RangingLine
-from evaluator.bench_model import PanelRange, RangingResult
-from evaluator.model import CampaignData, EvaluationError
-from evaluator.ranging_arrangement import differences_m2, in_doubt, misread
-from evaluator.ranging_fit import MIN_PANELS, adjusted_constants, constants, range_residuals
-from evaluator.ranging_observations import Found, lidar_covariance_m2, observe_scans, panel_ranges, station_of, unread
-from evaluator.results_model import IndicatorValue, not_measured
-from evaluator.total_station import (
+from evaluator.benches.bench_model import PanelRange, RangingResult
+from evaluator.benches.ranging_arrangement import differences_m2, in_doubt, misread
+from evaluator.benches.ranging_fit import MIN_PANELS, adjusted_constants, constants, range_residuals
+from evaluator.benches.ranging_observations import (
+    Found,
+    lidar_covariance_m2,
+    observe_scans,
+    panel_ranges,
+    station_of,
+    unread,
+)
+from evaluator.benches.total_station import (
     StationResult,
     air_notes,
     covariance_m2,
@@ -26,6 +31,8 @@ from evaluator.total_station import (
     unknown_stations,
     unused_stations,
 )
+from evaluator.model import CampaignData, EvaluationError
+from evaluator.results_model import IndicatorValue, not_measured
 
 __all__ = [
     "corrected_range",

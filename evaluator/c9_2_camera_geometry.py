@@ -17,10 +17,17 @@ from campaign.config import Lens
 from campaign.errors import TestrangeError
 from campaign.pictures import PictureSize, picture_size, read_picture
 from campaign.progress import Report
-from evaluator.bench_model import BoardImage, ChessboardResult
-from evaluator.board_adjustment import Observations, board_points
-from evaluator.c9_2_companions import CELLS, companions_of, coverage_of, positions_of, setup_notes, uncertainty_of
-from evaluator.camera_calibration import Calibration, calibrate
+from evaluator.benches.bench_model import BoardImage, ChessboardResult
+from evaluator.benches.board_adjustment import Observations, board_points
+from evaluator.benches.c9_2_companions import (
+    CELLS,
+    companions_of,
+    coverage_of,
+    positions_of,
+    setup_notes,
+    uncertainty_of,
+)
+from evaluator.benches.camera_calibration import Calibration, calibrate
 from evaluator.camera_model import ideal_px, undistorted_px
 from evaluator.load import in_folder
 from evaluator.model import CampaignData, EvaluationError

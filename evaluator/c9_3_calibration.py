@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from campaign.config import Lens
-from evaluator.adjustment import on_true_time, solve_mountings
 from evaluator.algorithms.solvers import Solve
-from evaluator.blunders import without
 from evaluator.camera_model import camera_points, ideal_px, project, undistorted_px
 from evaluator.georeference import mounting_from_sheet, world_points
 from evaluator.model import EvaluationError, Mounting, MountingSolution
-from evaluator.mounting_model import Problem
+from evaluator.mounting.adjustment import on_true_time, solve_mountings
+from evaluator.mounting.blunders import without
+from evaluator.mounting.mounting_model import Problem
+from evaluator.mounting.single_instant import solve_single_instant
 from evaluator.results import Residual
 from evaluator.results_model import IndicatorValue
-from evaluator.single_instant import solve_single_instant
 
 _FOLDS = 5
 _DRAWS = 2000

@@ -13,9 +13,9 @@ from campaign.las import StripReader
 from campaign.survey import SurveyedTarget
 from evaluator.camera_model import camera_points, ideal_px, project_exposure
 from evaluator.frames import WorldFrame
-from evaluator.geometry import certified_lens, search_radius_px
 from evaluator.georeference import TargetReturns, nominal_mountings
 from evaluator.model import CampaignData, EvaluationError, Mounting
+from evaluator.mounting.geometry import certified_lens, search_radius_px
 from evaluator.observe.panel_images import panel_region_px
 
 _REMEDY = "check its coordinates, or take it out of survey/targets.csv"

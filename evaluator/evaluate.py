@@ -21,23 +21,23 @@ from campaign.threads import one_blas_thread
 from evaluator.algorithms.guard import Log, guarded
 from evaluator.algorithms.record import OWN, Algorithms, Tools
 from evaluator.algorithms.solvers import mountings_solver
-from evaluator.benches import evaluate_benches, flight_lens, flight_ranges
-from evaluator.board_observations import BoardObservation, observe_boards
+from evaluator.benches.order import evaluate_benches, flight_lens, flight_ranges
+from evaluator.boards.board_observations import BoardObservation, observe_boards
+from evaluator.boards.mounting_by_boards import solve_by_boards
 from evaluator.c8_1_lidar_reflectance import PanelReflectances, evaluate_lidar_reflectance
 from evaluator.c8_3_reflectance_consistency import evaluate_reflectance_consistency
 from evaluator.c9_3_calibration import CalibrationResult, evaluate_calibration
-from evaluator.closure import closure
 from evaluator.conformity import conformity_rows
 from evaluator.conformity.observed import observed_inputs
 from evaluator.coverage import targets_outside_images, targets_outside_strips
-from evaluator.diagnosis import deviations, suspects
 from evaluator.frames import WorldFrame
-from evaluator.geometry import GeometryResult, observe_marks, search_radius_px, solve_geometry
 from evaluator.georeference import TargetReturns, collect_target_returns, nominal_mountings
 from evaluator.load import in_folder
 from evaluator.load import load_campaign as read_campaign
 from evaluator.model import CampaignData, EvaluationError, MarkObservation, Mounting, SortieData
-from evaluator.mounting_by_boards import solve_by_boards
+from evaluator.mounting.closure import closure
+from evaluator.mounting.diagnosis import deviations, suspects
+from evaluator.mounting.geometry import GeometryResult, observe_marks, search_radius_px, solve_geometry
 from evaluator.observe.examples import waveform_examples
 from evaluator.observe.panel_images import panel_image_values, region_pixels
 from evaluator.observe.panels import ImagePanelObservation, LidarPanelObservation, lidar_panel_observations

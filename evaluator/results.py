@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from evaluator.bench_model import ChessboardResult, RangingResult, SphereResult
+from evaluator.benches.bench_model import ChessboardResult, RangingResult, SphereResult
 from evaluator.c10_1_grading import GRADE_ZH, GROUPS, INDICATORS, Grade, grade, group_grades
 from evaluator.conformity.model import Row
-from evaluator.diagnosis import Deviation, diagnosis_block
 from evaluator.model import (
     CampaignData,
     EvaluationError,
@@ -24,6 +23,7 @@ from evaluator.model import (
     MountingSolution,
     VertexObservation,
 )
+from evaluator.mounting.diagnosis import Deviation, diagnosis_block
 from evaluator.results_model import IndicatorValue, not_measured
 
 SCHEMA = 1

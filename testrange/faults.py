@@ -18,7 +18,7 @@ from campaign.errors import ConfigError
 from campaign.load import load_config, read_toml, resolve_study
 from campaign.manifest import read_manifest, write_manifest
 from campaign.progress import Report
-from evaluator.diagnosis import family_limit
+from evaluator.mounting.diagnosis import family_limit
 
 # Which faults reach which part. What is not named here (survey, trajectory, sheets) is written anew for every case.
 _LENS = (

@@ -21,7 +21,7 @@ from campaign.resume import resumable_folder
 from evaluator.documents.model import Language
 from evaluator.model import EvaluationError
 from evaluator.results import Evaluation, write_results
-from evaluator.score import Score, score_campaign, write_score
+from evaluator.scores.score import Score, score_campaign, write_score
 from testrange.progress import ProgressCallback
 from testrange.workers import simulate_units
 
@@ -91,7 +91,7 @@ def _write_documents(
 ) -> None:
     from evaluator.documents import write_documents
     from evaluator.documents.observations import write_observations
-    from evaluator.score_points import point_errors
+    from evaluator.scores.score_points import point_errors
     from evaluator.view import write_view
 
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
@@ -320,7 +320,7 @@ def view(place: Path, out: Path | None, progress: ProgressCallback, language: La
     and written to `out` (view.html beside the campaign)."""
     from evaluator.evaluate import evaluate_campaign
     from evaluator.results import build_results
-    from evaluator.score_points import point_errors
+    from evaluator.scores.score_points import point_errors
     from evaluator.view import write_view
     from testrange.viewing import find_page
 
@@ -343,7 +343,7 @@ def record(place: Path, out: Path, progress: ProgressCallback) -> list[str]:
     """A recording with a time line for the viewer of the extra `rerun`; returns what could not be shown."""
     from campaign.atomic import complete_file
     from evaluator.evaluate import evaluate_campaign
-    from evaluator.score_points import point_errors
+    from evaluator.scores.score_points import point_errors
     from testrange.rerun_log import write_rrd
 
     _require_kind(out, ".rrd")

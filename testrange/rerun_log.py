@@ -61,7 +61,7 @@ def write_rrd(path: Path, evaluation: Evaluation, truth_errors: TruthErrors | No
     evaluation : Evaluation
         With `data`, the campaign as read.
     truth_errors : TruthErrors, optional
-        `evaluator.score_points.point_errors(root)`; errors then stand beside each slice of points.
+        `evaluator.scores.score_points.point_errors(root)`; errors then stand beside each slice of points.
 
     Raises
     ------

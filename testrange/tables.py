@@ -13,7 +13,7 @@ from evaluator.c10_1_grading import GRADE_ZH, GROUPS, INDICATORS, Grade, group_g
 from evaluator.documents.model import Language, say
 from evaluator.documents.phrases import STATUS, translated
 from evaluator.results import Evaluation, shown_decimals
-from evaluator.score import Score, decimals
+from evaluator.scores.score import Score, decimals
 
 if TYPE_CHECKING:
     from testrange.faults import FaultMatrix

@@ -24,7 +24,7 @@ from evaluator.model import EvaluationError
 
 if TYPE_CHECKING:  # the child that only imports a function shall not wait for what evaluates
     from evaluator.results import Evaluation
-    from evaluator.score_echoes import EchoErrors
+    from evaluator.scores.score_echoes import EchoErrors
 
 RUN_LIMIT_S = 4.0 * 3600.0
 _GRACE_S = 2.0  # after which a call that its alarm should have ended is ended with its process

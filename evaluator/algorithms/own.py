@@ -78,7 +78,7 @@ def polynomial_surface(task: ReflectanceTask, /) -> np.ndarray:
 
 def joint_adjustment(task: ExtrinsicTask, /) -> FoundMountings:
     """Both mountings in one adjustment with data snooping (`adjustment`)."""
-    from evaluator.adjustment import solve_mountings
+    from evaluator.mounting.adjustment import solve_mountings
 
     found = solve_mountings(task.problem)
     return FoundMountings(
@@ -92,9 +92,9 @@ def joint_adjustment(task: ExtrinsicTask, /) -> FoundMountings:
 
 def board_adjustment(task: MountingTask, /) -> FoundCameraMounting:
     """Gauss-Newton on the boards' centres with blunders named (`mounting_by_boards`)."""
+    from evaluator.boards.mounting_by_boards import solve_board_problem
     from evaluator.georeference import nominal_mountings
-    from evaluator.mounting_by_boards import solve_board_problem
-    from evaluator.mounting_model import mounting_of
+    from evaluator.mounting.mounting_model import mounting_of
 
     found = solve_board_problem(task.problem, task.views, list(task.observations))
     mounting = mounting_of(nominal_mountings(task.problem.rig)[0], found.parameters)

@@ -14,9 +14,9 @@ import numpy as np
 from evaluator.model import EvaluationError
 
 if TYPE_CHECKING:
-    from evaluator.board_model import BoardProblem, Views
-    from evaluator.board_observations import BoardObservation
-    from evaluator.mounting_model import Problem
+    from evaluator.boards.board_model import BoardProblem, Views
+    from evaluator.boards.board_observations import BoardObservation
+    from evaluator.mounting.mounting_model import Problem
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,18 +8,23 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from campaign.sensors import Rig
-from evaluator.adjustment import camera_from_lidar, camera_from_lidar_vector, product_covariance, solve_mountings
 from evaluator.algorithms.record import Tools
 from evaluator.algorithms.slots import ExtrinsicTask, FoundCameraMounting, FoundMountings, MountingTask
 from evaluator.camera_model import lens_vector
 from evaluator.frames import body_pose, euler_angles
 from evaluator.georeference import nominal_mountings
 from evaluator.model import MarkObservation, Mounting, MountingSolution, VertexObservation
-from evaluator.mounting_model import PARAMETER_NAMES, Problem
+from evaluator.mounting.adjustment import (
+    camera_from_lidar,
+    camera_from_lidar_vector,
+    product_covariance,
+    solve_mountings,
+)
+from evaluator.mounting.mounting_model import PARAMETER_NAMES, Problem
 
 if TYPE_CHECKING:
-    from evaluator.board_model import BoardProblem, Views
-    from evaluator.board_observations import BoardObservation
+    from evaluator.boards.board_model import BoardProblem, Views
+    from evaluator.boards.board_observations import BoardObservation
 
 
 class Solve(Protocol):

@@ -27,7 +27,7 @@ def work(job: Job, pipe: Connection) -> Done:
     if job.campaign is None:
         return Done(evaluation=None, calls=log.calls)
     from evaluator.evaluate import evaluate_with
-    from evaluator.score_echoes import echo_errors
+    from evaluator.scores.score_echoes import echo_errors
 
     start = time.perf_counter()
     evaluation = evaluate_with(

@@ -2,7 +2,7 @@
 
 import re
 
-from evaluator.bench_model import ChessboardResult
+from evaluator.benches.bench_model import ChessboardResult
 from evaluator.conformity.model import ConformityInputs, Row, Status, missing, passed, row
 from evaluator.model import CampaignData
 

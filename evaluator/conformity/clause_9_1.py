@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from campaign.ranging import TotalStation
+from evaluator.benches.ranging_fit import LEAST_P
+from evaluator.benches.ranging_observations import BESIDE_SHARE
+from evaluator.benches.total_station import air_notes, stations_of
 from evaluator.conformity.model import ConformityInputs, Row, missing, passed, percent, row
 from evaluator.model import CampaignData
-from evaluator.ranging_fit import LEAST_P
-from evaluator.ranging_observations import BESIDE_SHARE
-from evaluator.total_station import air_notes, stations_of
 
 _PANELS = 5
 _OBSERVATIONS = 5

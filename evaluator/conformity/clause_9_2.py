@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from evaluator.bench_model import ChessboardResult
+from evaluator.benches.bench_model import ChessboardResult
 from evaluator.conformity.clause_6_3 import board_images, has_chessboard
 from evaluator.conformity.model import ConformityInputs, Row, missing, passed, row
 from evaluator.model import CampaignData

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from evaluator.bench_model import ChessboardResult, RangingResult, SphereResult
+from evaluator.benches.bench_model import ChessboardResult, RangingResult, SphereResult
 
 Status = Literal["pass", "fail", "warning", "not_applicable", "not_recorded"]
 

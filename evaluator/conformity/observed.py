@@ -6,9 +6,9 @@ import numpy as np
 
 from evaluator.conformity.model import ConformityInputs
 from evaluator.coverage import targets_in_images
-from evaluator.geometry import GeometryResult
 from evaluator.georeference import TargetReturns
 from evaluator.model import CampaignData, MarkObservation, Mounting
+from evaluator.mounting.geometry import GeometryResult
 from evaluator.observe.panels import ImagePanelObservation, LidarPanelObservation
 
 

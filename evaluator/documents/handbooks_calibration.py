@@ -13,9 +13,9 @@ from evaluator.camera_model import undistorted_px
 from evaluator.documents.handbooks_common import blunder, companions, cut, figure, missing, value_figure
 from evaluator.documents.model import Block, Cell, Figure, Formula, Heading, Language, Paragraph, Table, say
 from evaluator.frames import WorldFrame
-from evaluator.geometry import certified_lens, surveyed_marks
 from evaluator.georeference import world_points
 from evaluator.model import CampaignData, MountingSolution
+from evaluator.mounting.geometry import certified_lens, surveyed_marks
 from evaluator.results import Evaluation, Residual
 
 _ID = "calibration_error"

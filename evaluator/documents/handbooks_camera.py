@@ -6,7 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from evaluator.bench_model import ChessboardResult
+from evaluator.benches.bench_model import ChessboardResult
 from evaluator.documents.handbooks_common import companions, cut, figure, missing, value_figure
 from evaluator.documents.model import Block, Cell, Figure, Formula, Heading, Language, Paragraph, Table, say
 from evaluator.results import Evaluation

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluator.bench_model import SphereSeries
+from evaluator.benches.bench_model import SphereSeries
 from evaluator.documents.handbooks_common import companions, cut, figure, missing, side_by_side, value_figure
 from evaluator.documents.model import Block, Cell, Figure, Formula, Heading, Language, Paragraph, Table, say
 from evaluator.results import Evaluation

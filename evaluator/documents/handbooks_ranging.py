@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 
 from campaign.ranging import RangingLine, StationReading, TotalStation
-from evaluator.documents.handbooks_common import companions, cut, figure, missing, value_figure
-from evaluator.documents.model import Block, Cell, Figure, Formula, Heading, Language, Paragraph, Table, say
-from evaluator.model import EvaluationError
-from evaluator.results import Evaluation
-from evaluator.total_station import (
+from evaluator.benches.total_station import (
     HUMIDITY_PERCENT,
     corrected_slope_distance,
     group_refractive_index,
     meteorological_correction,
 )
+from evaluator.documents.handbooks_common import companions, cut, figure, missing, value_figure
+from evaluator.documents.model import Block, Cell, Figure, Formula, Heading, Language, Paragraph, Table, say
+from evaluator.model import EvaluationError
+from evaluator.results import Evaluation
 
 _ID = "lidar_ranging_rmse_relative"
 _AT = f"indicators.{_ID}.companions"

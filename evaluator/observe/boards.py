@@ -1,7 +1,7 @@
 """The centre of a 2x2 board in an image, to hundredths of a pixel, with the patent's half-window count beside it.
 
 The fit knows the whole board: two blurred edges that cross in the centre, its outline, the ground on each of its four sides.
-The count itself is `half_window`'s. Which board is where, and why one is left out, is `evaluator.board_observations`'s subject.
+The count itself is `half_window`'s. Which board is where, and why one is left out, is `board_observations`'s subject.
 """
 
 from dataclasses import dataclass, replace

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from evaluator.bench_model import BoardImage, ChessboardResult, RangingResult, SphereResult, SphereSeries
+from evaluator.benches.bench_model import BoardImage, ChessboardResult, RangingResult, SphereResult, SphereSeries
 from evaluator.camera_model import LENS_NAMES, undistort
 from evaluator.report.style import INK, SORTIE_COLOURS, arrow_limits, figure
 from evaluator.report.texts import Texts

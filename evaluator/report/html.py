@@ -20,7 +20,7 @@ from evaluator.report.style import GRADE_COLOURS, font_uri, style
 from evaluator.report.terms import parameter
 from evaluator.report.texts import Texts
 from evaluator.results import Evaluation, build_results, plain
-from evaluator.score import Score, decimals
+from evaluator.scores.score import Score, decimals
 
 _FONT_PLACE = "/*font*/"
 _CHINESE = "U+2E80-9FFF,U+F900-FAFF,U+FF00-FFEF"

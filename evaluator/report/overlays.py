@@ -21,7 +21,7 @@ from evaluator.camera_model import project_exposure
 from evaluator.frames import WorldFrame
 from evaluator.georeference import nominal_mountings
 from evaluator.model import CampaignData, SortieData
-from evaluator.mounting_model import mounting_of
+from evaluator.mounting.mounting_model import mounting_of
 from evaluator.observe.panel_images import camera_lens
 from evaluator.report.style import image_uri
 from evaluator.results import Evaluation

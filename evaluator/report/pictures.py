@@ -11,7 +11,7 @@ from evaluator.report import bench_plots, plots, radiometry_plots
 from evaluator.report.style import svg_uri
 from evaluator.report.texts import Texts
 from evaluator.results import Evaluation
-from evaluator.score import Score
+from evaluator.scores.score import Score
 
 
 @dataclass(frozen=True, kw_only=True)

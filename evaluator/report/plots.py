@@ -14,15 +14,15 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from evaluator.c10_1_grading import INDICATORS
 from evaluator.conformity.flight import acceleration, strip_windows
 from evaluator.conformity.model import ConformityInputs
-from evaluator.diagnosis import Deviation, family_limit
 from evaluator.frames import WorldFrame
 from evaluator.model import CampaignData, SortieData
+from evaluator.mounting.diagnosis import Deviation, family_limit
 from evaluator.observe.panel_images import camera_lens
 from evaluator.report.style import GRADE_COLOURS, INK, arrow_limits, figure, sortie_colour
 from evaluator.report.terms import parameter, short
 from evaluator.report.texts import Texts
 from evaluator.results import Evaluation, correlation_matrix
-from evaluator.score import Score
+from evaluator.scores.score import Score
 
 _STEP_S = 0.25  # between drawn points of a track
 _GREY, _LIMIT = "#6b7280", "#b3261e"

@@ -15,7 +15,7 @@ from evaluator.report.terms import method, parameter, strip
 from evaluator.report.texts import Texts
 from evaluator.report.words import HOW
 from evaluator.results import Evaluation, plain, shown_decimals
-from evaluator.score import decimals
+from evaluator.scores.score import decimals
 
 _BANDS = {"red", "green", "blue", "grey"}
 _LONG = 8  # a longer list is counted, not printed

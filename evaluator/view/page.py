@@ -252,7 +252,7 @@ def write_view(
     results : dict
         Contents of results.json, for the figures of each target.
     truth_errors : TruthErrors, optional
-        `evaluator.score_points.point_errors(root)`; None for a flown campaign.
+        `evaluator.scores.score_points.point_errors(root)`; None for a flown campaign.
     language : "zh" or "en"
     """
     page = render_view(evaluation, results, truth_errors, language)

@@ -171,7 +171,7 @@ def score(campaign: Path, results: Path, /, *, language: OneLanguage = "zh", jso
     results
         results.json, or the folder that holds it.
     """
-    from evaluator.score import build_score
+    from evaluator.scores.score import build_score
     from testrange import pipeline, tables
 
     scored, target = pipeline.score(campaign, results)

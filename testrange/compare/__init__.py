@@ -1,6 +1,6 @@
 """Algorithms against each other on campaigns whose truth is known: `compare_campaigns`, `write_comparison`, `print_comparison`.
 
-What an algorithm is, and how it is run without harm to the rest: `evaluator.algorithms`. Errors against truth: `evaluator.score*`.
+What an algorithm is, and how it is run without harm to the rest: `evaluator.algorithms`. Errors against truth: `evaluator.scores`.
 """
 
 from testrange.compare.model import Contender, parse_contenders

@@ -18,9 +18,9 @@ from evaluator.algorithms.guard import CALL_LIMIT_S
 from evaluator.algorithms.program import PROGRAM_LIMIT_S, run_program
 from evaluator.algorithms.record import SLOTS
 from evaluator.results import build_results, write_json
-from evaluator.score import score_campaign
-from evaluator.score_echoes import EchoErrors
-from evaluator.score_observations import observation_errors
+from evaluator.scores.score import score_campaign
+from evaluator.scores.score_echoes import EchoErrors
+from evaluator.scores.score_observations import observation_errors
 from testrange.compare.model import Contender, Outcome
 from testrange.compare.statistics import Difference, differences
 

@@ -9,10 +9,10 @@ import numpy as np
 from campaign.errors import TestrangeError
 from campaign.progress import Report
 from campaign.records import CameraObservation, read_camera_observations
-from evaluator.board_observations import observe_boards
-from evaluator.geometry import observe_marks, search_radius_px
+from evaluator.boards.board_observations import observe_boards
 from evaluator.georeference import nominal_mountings
 from evaluator.model import SortieData
+from evaluator.mounting.geometry import observe_marks, search_radius_px
 from testrange.export.pictures import read_shot
 from testrange.export.source import Shot, Source
 

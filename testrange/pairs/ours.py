@@ -11,9 +11,10 @@ import numpy as np
 from campaign.config import Lens
 from campaign.sensors import MountingSheet, NavigationSheet, Rig
 from evaluator.algorithms.slots import VertexTask
-from evaluator.board_adjustment import Observations, Poses, poses_only
-from evaluator.board_blunders import gauss_newton
-from evaluator.board_model import BoardProblem, Views, remap
+from evaluator.benches.board_adjustment import Observations, Poses, poses_only
+from evaluator.benches.camera_calibration import calibrate
+from evaluator.boards.board_blunders import gauss_newton
+from evaluator.boards.board_model import BoardProblem, Views, remap
 from evaluator.c8_1_lidar_reflectance import fit_reflectance_surface, lidar_reflectance_rmse
 from evaluator.c8_2_camera_radiometry import mean_dn, repeatability, stability_rsd, standard_deviation_dn
 from evaluator.c8_3_reflectance_consistency import reflectance_correlation, reflectance_rmse_relative
@@ -30,15 +31,14 @@ from evaluator.c9_1_lidar_ranging import (
 )
 from evaluator.c9_2_camera_geometry import mean_reprojection_error, project_16
 from evaluator.c9_3_calibration import calibration_error, project_24, residual_norms
-from evaluator.camera_calibration import calibrate
 from evaluator.camera_model import lens_vector, project_with_jacobian, undistorted_px
 from evaluator.conformity.clause_7 import flight_height
 from evaluator.frames import euler_angles, euler_rotation
 from evaluator.model import EvaluationError, Mounting
-from evaluator.mounting_model import observe_points
+from evaluator.mounting.mounting_model import observe_points
+from evaluator.mounting.single_instant import rigid_by_pixels
 from evaluator.observe.half_window import half_window_centre
 from evaluator.other_methods.vertices import common_point, orthogonal_planes
-from evaluator.single_instant import rigid_by_pixels
 from testrange.pairs.build import numbers
 from testrange.pairs.model import Pair
 from testrange.pairs.verify import Answer

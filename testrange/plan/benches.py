@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from campaign.config import Config
-from evaluator.bench_model import BoardImage, ChessboardResult
+from evaluator.benches.bench_model import BoardImage, ChessboardResult
 from evaluator.conformity import ConformityInputs, Row
 from evaluator.conformity.clause_9_2 import clause_9_2
 from evaluator.model import CampaignData

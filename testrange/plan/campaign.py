@@ -18,13 +18,13 @@ from campaign.threads import one_blas_thread
 from evaluator.conformity import ConformityInputs, Row, conformity_rows
 from evaluator.conformity.flight import flight_times, sun_elevation
 from evaluator.coverage import targets_in_images
-from evaluator.geometry import build_problem, observe_vertices
 from evaluator.georeference import nominal_mountings
-from evaluator.helping_strip import predicted_covariance, weak_parameters
 from evaluator.model import CampaignData, MarkObservation, VertexObservation
-from evaluator.mounting_model import System
+from evaluator.mounting.geometry import build_problem, observe_vertices
+from evaluator.mounting.helping_strip import predicted_covariance, weak_parameters
+from evaluator.mounting.mounting_model import System
+from evaluator.mounting.panel_planes import observe_planes
 from evaluator.observe.panels import LidarPanelObservation, lidar_panel_observations
-from evaluator.panel_planes import observe_planes
 from simulator.flight import design_lines, speeds_m_s
 from simulator.radar_equation import unambiguous_range_m
 from simulator.scanner import scanner_from

@@ -5,9 +5,9 @@ import numpy as np
 from campaign.config import Band, Config
 from evaluator.camera_model import project_exposure
 from evaluator.frames import WorldFrame
-from evaluator.geometry import certified_lens, mark_view
 from evaluator.georeference import nominal_mountings
 from evaluator.model import CampaignData, EvaluationError, MarkObservation
+from evaluator.mounting.geometry import certified_lens, mark_view
 from evaluator.observe.frustums import frustum_model
 from scenes.model import Material, SunSky
 from scenes.sunsky import band_irradiance, sun_sky

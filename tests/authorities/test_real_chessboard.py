@@ -16,10 +16,10 @@ import pytest
 from campaign.bench import BoardExposure, BoardSheet, write_board, write_board_log
 from campaign.folder import CampaignFolder
 from campaign.manifest import Manifest, write_manifest
-from evaluator.bench_model import ChessboardResult
-from evaluator.board_adjustment import Observations, board_points
+from evaluator.benches.bench_model import ChessboardResult
+from evaluator.benches.board_adjustment import Observations, board_points
+from evaluator.benches.camera_calibration import calibrate
 from evaluator.c9_2_camera_geometry import evaluate_chessboard
-from evaluator.camera_calibration import calibrate
 from evaluator.camera_model import lens_vector
 from evaluator.load import load_campaign
 

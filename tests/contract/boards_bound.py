@@ -13,10 +13,10 @@ import numpy as np
 
 from campaign.config import Config
 from campaign.load import load_config
-from evaluator.board_observations import BoardObservation
+from evaluator.boards.board_observations import BoardObservation
+from evaluator.boards.mounting_by_boards import BoardMounting
 from evaluator.load import load_campaign
 from evaluator.model import CampaignData
-from evaluator.mounting_by_boards import BoardMounting
 from simulator import paperwork, rig
 from simulator.camera import frame_pose, project
 from simulator.frames import ENU_FROM_NED

@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from campaign.load import load_config
 from campaign.truth import read_truth
-from evaluator.benches import evaluate_benches
+from evaluator.benches.order import evaluate_benches
 from evaluator.camera_model import lens_vector, project, undistort
 from evaluator.load import load_campaign
 from simulator.simulate import simulate_campaign

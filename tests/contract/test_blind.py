@@ -149,11 +149,11 @@ def imported(module: ast.Module) -> set[str]:
     return names
 
 
-SCORERS = {"score.py", "score_points.py", "score_echoes.py", "score_observations.py"}  # of parameters, of single things
+SCORERS = {f"scores/score{of}.py" for of in ("", "_points", "_echoes", "_observations")}
 
 
 def test_only_score_knows_where_the_truth_is() -> None:
-    """Expected: in evaluator/ campaign.truth is imported by score.py and score_points.py alone, these only by what shows or
+    """Expected: in evaluator/ campaign.truth is imported by scores/ alone, these only by what shows or
     writes a score, and no other module mentions the folder: neither `.truth` of a CampaignFolder nor the word in a string.
     """
     package = Path(str(importlib.util.find_spec("evaluator").origin)).parent  # type: ignore[union-attr]
@@ -163,7 +163,7 @@ def test_only_score_knows_where_the_truth_is() -> None:
     assert readers == SCORERS
     computed = {n for n, m in modules.items() if "a computed name" in imported(m)}
     assert computed == {"algorithms/load.py"}  # what the user names on the command line
-    scorers = {n for n, m in modules.items() if any(i.startswith("evaluator.score") for i in imported(m))}
+    scorers = {n for n, m in modules.items() if any(i.startswith("evaluator.scores") for i in imported(m))}
     # `compare` has its child compare echoes with the truth after the evaluation is done.
     children = {"algorithms/apart.py", "algorithms/worker.py"}
     assert {n for n in scorers if not n.startswith("report/")} - SCORERS == children

@@ -15,11 +15,11 @@ import pytest
 from campaign.images import read_image
 from campaign.load import load_config
 from campaign.truth import read_marks
-from evaluator.board_observations import BoardObservation, observe_boards
+from evaluator.boards.board_observations import BoardObservation, observe_boards
+from evaluator.boards.mounting_by_boards import BoardMounting, solve_by_boards
 from evaluator.georeference import nominal_mountings
 from evaluator.load import load_campaign
 from evaluator.model import CampaignData
-from evaluator.mounting_by_boards import BoardMounting, solve_by_boards
 from simulator.simulate import prepare_range, simulate_campaign
 
 SHARED = runpy.run_path(str(Path(__file__).parent / "boards_bound.py"))

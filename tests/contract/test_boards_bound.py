@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluator.mounting_by_boards import solve_by_boards
+from evaluator.boards.mounting_by_boards import solve_by_boards
 
 SHARED = runpy.run_path(str(Path(__file__).parent / "boards_bound.py"))
 APX15, ONE_STRIP, SHORT, UNIT = (SHARED[name] for name in ("APX15", "ONE_STRIP", "SHORT", "UNIT"))

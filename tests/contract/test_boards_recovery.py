@@ -10,11 +10,11 @@ import pytest
 from campaign.images import read_image
 from campaign.load import load_config
 from campaign.truth import read_marks
-from evaluator.board_observations import BoardObservation, observe_boards
+from evaluator.boards.board_observations import BoardObservation, observe_boards
+from evaluator.boards.mounting_by_boards import BoardMounting, solve_by_boards
 from evaluator.georeference import nominal_mountings
 from evaluator.load import load_campaign
 from evaluator.model import CampaignData
-from evaluator.mounting_by_boards import BoardMounting, solve_by_boards
 
 TINY = Path(__file__).parents[1] / "data" / "tiny.toml"
 TRUE = np.array([0.8, -0.5, 1.2, 0.03, -0.02, 0.05])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from campaign.load import load_config
-from evaluator.closure import closure
 from evaluator.evaluate import evaluate_campaign
-from evaluator.geometry import build_problem
+from evaluator.mounting.closure import closure
+from evaluator.mounting.geometry import build_problem
 from simulator.simulate import simulate_campaign
 
 TINY = Path(__file__).parents[1] / "data" / "tiny.toml"

@@ -20,8 +20,8 @@ from campaign.truth import read_marks, read_true_trajectories, read_truth
 from evaluator.camera_model import project_exposure, undistort
 from evaluator.evaluate import read_campaign
 from evaluator.frames import WorldFrame
-from evaluator.geometry import observe_marks
 from evaluator.model import Mounting
+from evaluator.mounting.geometry import observe_marks
 from scenes.model import Layout
 from simulator import rig
 from simulator.camera import FramePose, frame_pose, project

@@ -12,7 +12,7 @@ import pytest
 from campaign.folder import CampaignFolder
 from campaign.load import load_config
 from campaign.manifest import Manifest, write_manifest
-from evaluator.bench_model import RangingResult
+from evaluator.benches.bench_model import RangingResult
 from evaluator.c9_1_lidar_ranging import evaluate_ranging
 from evaluator.load import load_campaign
 from simulator.ranging import prepare_line, simulate_ranging, true_ranging

@@ -10,8 +10,8 @@ from campaign.config import Config
 from campaign.load import load_config
 from campaign.truth import read_marks
 from evaluator import evaluate
-from evaluator.geometry import GeometryResult, observe_marks, search_radius_px, solve_geometry
 from evaluator.georeference import collect_target_returns, nominal_mountings
+from evaluator.mounting.geometry import GeometryResult, observe_marks, search_radius_px, solve_geometry
 from simulator import camera as camera_maths
 from simulator import rig
 from simulator.frames import rotation_from_rpy

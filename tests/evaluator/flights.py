@@ -13,7 +13,7 @@ from evaluator.camera_model import lens_from_vector, lens_vector, project
 from evaluator.frames import WorldFrame, euler_angles, euler_rotation
 from evaluator.georeference import nominal_mountings
 from evaluator.model import MarkObservation, PlaneObservation, VertexObservation
-from evaluator.mounting_model import Problem, SurveyedMark, SurveyedPanel, mounting_of
+from evaluator.mounting.mounting_model import Problem, SurveyedMark, SurveyedPanel, mounting_of
 
 FRAME = WorldFrame(
     Manifest(

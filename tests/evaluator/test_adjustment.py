@@ -9,13 +9,13 @@ from campaign.config import Lens
 from campaign.manifest import Manifest
 from campaign.sensors import MountingSheet, NavigationSheet, Rig
 from campaign.trajectory import Trajectory
-from evaluator.adjustment import camera_from_lidar, solve_mountings
 from evaluator.c9_3_calibration import calibration_error, evaluate_calibration, residual_table, target_errors
 from evaluator.camera_model import lens_from_vector, lens_vector, project
 from evaluator.frames import WorldFrame, euler_angles, euler_rotation
 from evaluator.georeference import nominal_mountings
 from evaluator.model import EvaluationError, MarkObservation, VertexObservation
-from evaluator.mounting_model import Problem, SurveyedMark, System, mounting_of, observe_points, scan_drift_m2
+from evaluator.mounting.adjustment import camera_from_lidar, solve_mountings
+from evaluator.mounting.mounting_model import Problem, SurveyedMark, System, mounting_of, observe_points, scan_drift_m2
 
 FRAME = WorldFrame(
     Manifest(

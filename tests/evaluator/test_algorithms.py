@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from campaign.errors import ConfigError
-from evaluator.adjustment import solve_mountings
 from evaluator.algorithms import (
     AlgorithmFailure,
     Algorithms,
@@ -31,6 +30,7 @@ from evaluator.algorithms.own import board_adjustment, joint_adjustment
 from evaluator.algorithms.record import OWN_TOOLS, SLOTS
 from evaluator.algorithms.solvers import board_task, board_xi, mountings_solver
 from evaluator.evaluate import evaluate_campaign
+from evaluator.mounting.adjustment import solve_mountings
 from evaluator.results import build_results
 
 HERE = Path(__file__).parent

@@ -14,7 +14,8 @@ from campaign.folder import CampaignFolder
 from campaign.images import BLACK_LEVEL
 from campaign.manifest import Manifest, write_manifest
 from campaign.sensors import CameraSheet, write_sheet
-from evaluator.bench_model import SphereResult
+from evaluator.benches.bench_model import SphereResult
+from evaluator.benches.series_trend import first_third, trend
 from evaluator.c8_2_camera_radiometry import (
     evaluate_sphere,
     mean_dn,
@@ -24,7 +25,6 @@ from evaluator.c8_2_camera_radiometry import (
 )
 from evaluator.load import load_campaign
 from evaluator.model import EvaluationError
-from evaluator.series_trend import first_third, trend
 
 LEVELS = np.array([4000.0, 3000.0, 2000.0])  # red, green, blue above black
 BLACK = 256

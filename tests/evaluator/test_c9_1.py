@@ -17,17 +17,17 @@ from campaign.ranging import (
     scan_paths,
 )
 from campaign.scans import ScanPoints, write_scan
-from evaluator.bench_model import RangingResult
-from evaluator.c9_1_lidar_ranging import (
-    evaluate_ranging,
-)
-from evaluator.model import CampaignData, RangingData
-from evaluator.ranging_fit import adjusted_constants
-from evaluator.total_station import (
+from evaluator.benches.bench_model import RangingResult
+from evaluator.benches.ranging_fit import adjusted_constants
+from evaluator.benches.total_station import (
     standard_pressure_hpa,
     stations_of,
     unused_stations,
 )
+from evaluator.c9_1_lidar_ranging import (
+    evaluate_ranging,
+)
+from evaluator.model import CampaignData, RangingData
 
 MM = 1e-3
 

@@ -8,6 +8,15 @@ from campaign.ranging import (
     RangingPanel,
     TotalStation,
 )
+from evaluator.benches.total_station import (
+    StationPanel,
+    StationResult,
+    corrected_slope_distance,
+    covariance_m2,
+    eccentricity_covariance_m2,
+    group_refractive_index,
+    meteorological_correction,
+)
 from evaluator.c9_1_lidar_ranging import (
     corrected_range,
     mean_range,
@@ -17,15 +26,6 @@ from evaluator.c9_1_lidar_ranging import (
 )
 from evaluator.model import EvaluationError
 from evaluator.observe.ranging_panels import _rotation
-from evaluator.total_station import (
-    StationPanel,
-    StationResult,
-    corrected_slope_distance,
-    covariance_m2,
-    eccentricity_covariance_m2,
-    group_refractive_index,
-    meteorological_correction,
-)
 
 MM = 1e-3
 

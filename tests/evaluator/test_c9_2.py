@@ -13,9 +13,9 @@ from campaign.config import Band, Lens
 from campaign.folder import CampaignFolder
 from campaign.manifest import Manifest
 from campaign.sensors import CameraSheet
-from evaluator.bench_model import BoardImage, ChessboardResult
+from evaluator.benches.bench_model import BoardImage, ChessboardResult
+from evaluator.benches.c9_2_companions import coverage_of, positions_of, radial_at_corner_px, uncertainty_of
 from evaluator.c9_2_camera_geometry import evaluate_chessboard, mean_reprojection_error, project_16
-from evaluator.c9_2_companions import coverage_of, positions_of, radial_at_corner_px, uncertainty_of
 from evaluator.camera_model import lens_vector
 from evaluator.model import BenchData, CampaignData, EvaluationError
 from evaluator.observe.chessboard import NoBoard

@@ -8,8 +8,15 @@ import pytest
 import scipy.stats
 
 from campaign.config import Lens
-from evaluator.board_adjustment import Observations, Poses, board_points, moved, residuals_and_jacobian, rotation_exp
-from evaluator.camera_calibration import calibrate, focal_from_homographies
+from evaluator.benches.board_adjustment import (
+    Observations,
+    Poses,
+    board_points,
+    moved,
+    residuals_and_jacobian,
+    rotation_exp,
+)
+from evaluator.benches.camera_calibration import calibrate, focal_from_homographies
 from evaluator.camera_model import lens_from_vector, lens_vector, project
 from evaluator.model import EvaluationError
 

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluator.adjustment import on_true_time, solve_mountings
 from evaluator.body_rates import body_rates
 from evaluator.c9_3_calibration import evaluate_calibration, residual_table, target_errors
 from evaluator.frames import body_pose
-from evaluator.helping_strip import (
+from evaluator.model import EvaluationError
+from evaluator.mounting.adjustment import on_true_time, solve_mountings
+from evaluator.mounting.helping_strip import (
     candidate_strips,
     flown_strips,
     helping_strips,
@@ -19,9 +20,8 @@ from evaluator.helping_strip import (
     weak_parameters,
     with_strip,
 )
-from evaluator.model import EvaluationError
-from evaluator.mounting_model import PARAMETER_NAMES, System
-from evaluator.single_sensor import solve_camera, solve_lidar
+from evaluator.mounting.mounting_model import PARAMETER_NAMES, System
+from evaluator.mounting.single_sensor import solve_camera, solve_lidar
 
 FLIGHTS = runpy.run_path(str(Path(__file__).with_name("flights.py")))
 flight, TRUE, FRAME = FLIGHTS["flight"], FLIGHTS["TRUE"], FLIGHTS["FRAME"]

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluator.adjustment import solve_mountings
-from evaluator.blunders import kept_problem
-from evaluator.closure import NAMES, alone_estimator, closure, joint_estimator
 from evaluator.model import EvaluationError
-from evaluator.mounting_model import System
-from evaluator.single_sensor import solve_camera
+from evaluator.mounting.adjustment import solve_mountings
+from evaluator.mounting.blunders import kept_problem
+from evaluator.mounting.closure import NAMES, alone_estimator, closure, joint_estimator
+from evaluator.mounting.mounting_model import System
+from evaluator.mounting.single_sensor import solve_camera
 
 FLIGHTS = runpy.run_path(str(Path(__file__).with_name("flights.py")))
 flight, TRUE = FLIGHTS["flight"], FLIGHTS["TRUE"]

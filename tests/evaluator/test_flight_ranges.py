@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from evaluator.bench_model import RangingResult
-from evaluator.benches import flight_ranges
+from evaluator.benches.bench_model import RangingResult
+from evaluator.benches.order import flight_ranges
 from evaluator.georeference import corrected_points
 from evaluator.model import CampaignData, RangeCorrection
 from evaluator.results_model import not_measured

@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from campaign.config import Lens
 from campaign.sensors import MountingSheet, NavigationSheet, Rig
-from evaluator.board_model import BoardProblem, Views, observation_covariance, remap
-from evaluator.board_observations import BoardObservation
-from evaluator.board_strips import predicted_std
+from evaluator.boards.board_model import BoardProblem, Views, observation_covariance, remap
+from evaluator.boards.board_observations import BoardObservation
+from evaluator.boards.board_strips import predicted_std
+from evaluator.boards.mounting_by_boards import NAMES, BoardMounting, solve_board_problem
 from evaluator.model import EvaluationError
-from evaluator.mounting_by_boards import NAMES, BoardMounting, solve_board_problem
 
 TRUE = np.concatenate([np.radians([0.8, -0.5, 1.2]), [0.03, -0.02, 0.05]])
 ARM = np.array([0.10, 0.03, 0.08])

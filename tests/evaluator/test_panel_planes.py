@@ -9,18 +9,18 @@ import pytest
 
 from campaign.las import Returns
 from campaign.survey import SurveyedTarget
-from evaluator.adjustment import solve_mountings
-from evaluator.blunders import kept_problem
-from evaluator.closure import closure, joint_estimator
-from evaluator.diagnosis import suspects
 from evaluator.frames import WorldFrame, body_pose
 from evaluator.georeference import TargetReturns, nominal_mountings, world_points
-from evaluator.helping_strip import candidate_strips, flown_strips, with_strip
 from evaluator.model import CampaignData, PlaneObservation
-from evaluator.mounting_model import Problem, System, mounting_of
+from evaluator.mounting.adjustment import solve_mountings
+from evaluator.mounting.blunders import kept_problem
+from evaluator.mounting.closure import closure, joint_estimator
+from evaluator.mounting.diagnosis import suspects
+from evaluator.mounting.helping_strip import candidate_strips, flown_strips, with_strip
+from evaluator.mounting.mounting_model import Problem, System, mounting_of
+from evaluator.mounting.panel_planes import contradiction, not_plane, observe_planes, plane_residuals
+from evaluator.mounting.single_sensor import solve_lidar
 from evaluator.observe.panels import panel_axes_world
-from evaluator.panel_planes import contradiction, not_plane, observe_planes, plane_residuals
-from evaluator.single_sensor import solve_lidar
 
 FLIGHTS = runpy.run_path(str(Path(__file__).with_name("flights.py")))
 flight, TRUE = FLIGHTS["flight"], FLIGHTS["TRUE"]

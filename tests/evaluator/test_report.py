@@ -24,7 +24,7 @@ from evaluator.report.photos import choose_images
 from evaluator.report.plots import residual_vectors
 from evaluator.report.texts import TABLE, Texts
 from evaluator.results import Evaluation, build_results
-from evaluator.score import Score, ScoreItem
+from evaluator.scores.score import Score, ScoreItem
 
 BROWSER = runpy.run_path(str(Path(__file__).with_name("browser.py")))
 CHROMIUM = BROWSER["chromium"]()

@@ -15,7 +15,7 @@ from campaign.sensors import write_sheet
 from campaign.truth import TrueMounting, Truth, write_truth
 from evaluator.model import CampaignData, MountingSolution
 from evaluator.results import Evaluation, write_results
-from evaluator.score import score_campaign, true_values, write_score
+from evaluator.scores.score import score_campaign, true_values, write_score
 
 # 90-degree turns and round figures, so that every product is done by hand.
 CAMERA_ROTATION = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))  # the nominal nadir camera

@@ -22,7 +22,7 @@ from evaluator.frames import WorldFrame, body_pose
 from evaluator.georeference import nominal_mountings, world_points
 from evaluator.model import CampaignData
 from evaluator.results import Evaluation, build_results
-from evaluator.score_points import point_errors
+from evaluator.scores.score_points import point_errors
 from evaluator.view import page, points, solids, write_view
 from evaluator.view.pack import error_code
 from evaluator.view.terrain import filled

@@ -16,7 +16,7 @@ from campaign.errors import CampaignError
 from evaluator.conformity import Row
 from evaluator.results import Evaluation
 from evaluator.results_model import IndicatorValue
-from evaluator.score import Score, ScoreItem
+from evaluator.scores.score import Score, ScoreItem
 from testrange import cli, pipeline
 
 EVALUATION = Evaluation(

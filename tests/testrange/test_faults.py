@@ -7,7 +7,7 @@ import pytest
 from campaign.config import PARTS
 from campaign.errors import ConfigError
 from campaign.load import load_config
-from evaluator.diagnosis import family_limit
+from evaluator.mounting.diagnosis import family_limit
 from testrange import faults
 
 TINY = Path(__file__).parents[1] / "data" / "tiny.toml"

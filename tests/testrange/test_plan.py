@@ -13,10 +13,10 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from campaign.load import load_config
-from evaluator.geometry import observe_vertices
 from evaluator.georeference import collect_target_returns
 from evaluator.load import load_campaign
 from evaluator.model import Mounting
+from evaluator.mounting.geometry import observe_vertices
 from evaluator.observe.panels import lidar_panel_observations
 from simulator import rig
 from testrange.plan import Plan, plan_block, plan_campaign, print_plan

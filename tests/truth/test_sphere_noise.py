@@ -11,7 +11,7 @@ from campaign.config import Band, Bench, Camera, CampaignInfo, Config, Lens, Sph
 from campaign.folder import CampaignFolder
 from campaign.manifest import Manifest, write_manifest
 from campaign.sensors import write_sheet
-from evaluator.bench_model import SphereResult
+from evaluator.benches.bench_model import SphereResult
 from evaluator.c8_2_camera_radiometry import evaluate_sphere, repeatability, stability_rsd
 from evaluator.load import load_campaign
 from simulator import rig, sensor

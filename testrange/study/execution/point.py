@@ -81,7 +81,7 @@ def _simulated(task: Mapping[str, Any]) -> dict[str, Any]:
     from campaign.config import Config
     from evaluator.evaluate import evaluate_campaign
     from evaluator.results import build_results, write_results
-    from evaluator.score import score_campaign
+    from evaluator.scores.score import score_campaign
     from simulator.simulate import simulate_campaign
     from testrange.study.execution import responses
 

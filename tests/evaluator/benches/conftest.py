@@ -8,7 +8,7 @@ import pytest
 from campaign.bench import BoardExposure, BoardSheet, RoomSheet, SphereExposure
 from campaign.config import Lens
 from campaign.ranging import RangingLine, RangingPanel, StationReading, TotalStation
-from evaluator.bench_model import (
+from evaluator.benches.bench_model import (
     BoardImage,
     ChessboardResult,
     PanelRange,

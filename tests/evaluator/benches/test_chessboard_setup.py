@@ -7,10 +7,10 @@ import pytest
 
 from campaign.bench import BoardExposure, BoardSheet
 from campaign.sensors import Calibration
-from evaluator.bench_model import ChessboardResult
-from evaluator.benches import flight_lens
+from evaluator.benches.bench_model import ChessboardResult
+from evaluator.benches.c9_2_companions import setup_notes
+from evaluator.benches.order import flight_lens
 from evaluator.c9_2_camera_geometry import _larger_board, _Seen
-from evaluator.c9_2_companions import setup_notes
 from evaluator.conformity import conformity_rows
 from evaluator.conformity.model import ConformityInputs, Row
 from evaluator.model import CampaignData

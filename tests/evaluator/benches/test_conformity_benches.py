@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from campaign.bench import RoomSheet
-from evaluator.bench_model import ChessboardResult
+from evaluator.benches.bench_model import ChessboardResult
 from evaluator.conformity import ConformityInputs, Row, conformity_rows
 from evaluator.conformity.clause_6_3 import traceability_class
 from evaluator.conformity.clause_9_2 import board_angles_deg

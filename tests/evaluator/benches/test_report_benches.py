@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
-from evaluator.bench_model import ChessboardResult, RangingResult, SphereResult
+from evaluator.benches.bench_model import ChessboardResult, RangingResult, SphereResult
 from evaluator.conformity import ConformityInputs, conformity_rows
 from evaluator.model import CampaignData
 from evaluator.report import bench_plots, write_report
@@ -18,7 +18,7 @@ from evaluator.report import pictures as page_pictures
 from evaluator.report.style import style
 from evaluator.results import Evaluation, build_results, shown_decimals
 from evaluator.results_model import IndicatorValue, not_measured
-from evaluator.score import Score, ScoreItem
+from evaluator.scores.score import Score, ScoreItem
 
 
 @pytest.fixture

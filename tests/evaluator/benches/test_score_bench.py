@@ -13,12 +13,12 @@ from campaign.errors import TestrangeError
 from campaign.manifest import write_manifest
 from campaign.sensors import write_sheet
 from campaign.truth import TrueBench, TrueMounting, TrueRanging, Truth, write_truth
-from evaluator.bench_model import ChessboardResult, RangingResult, SphereResult
+from evaluator.benches.bench_model import ChessboardResult, RangingResult, SphereResult
 from evaluator.camera_model import LENS_NAMES, lens_vector, project
 from evaluator.frames import euler_rotation
 from evaluator.model import CampaignData
 from evaluator.results import Evaluation, write_results
-from evaluator.score import Score, decimals, distortion_error, score_campaign
+from evaluator.scores.score import Score, decimals, distortion_error, score_campaign
 
 TRUE_LENS = Lens(fx_px=3000.2, fy_px=2999.9, cx_px=1540.1, cy_px=1020.4, k1=-0.0469, k2=0.0236, p1=2e-4, p2=-1e-4)
 BENCH = TrueBench(lens=TRUE_LENS, focus_distance_m=2.0, drift_percent_per_h=0.1)

@@ -19,10 +19,10 @@ from campaign.survey import write_targets
 from evaluator.conformity import ConformityInputs, conformity_rows
 from evaluator.documents.observations import rejected_marks, write_observations
 from evaluator.frames import WorldFrame, body_pose
-from evaluator.geometry import observe_vertices
 from evaluator.georeference import TargetReturns, collect_target_returns, nominal_mountings, world_points
 from evaluator.load import load_campaign
 from evaluator.model import CampaignData, MountingSolution
+from evaluator.mounting.geometry import observe_vertices
 from evaluator.observe.frustums import frustum_model
 from evaluator.observe.panel_images import panel_image_values
 from evaluator.observe.panels import lidar_panel_observations, panel_axes_world

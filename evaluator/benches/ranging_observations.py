@@ -10,11 +10,11 @@ import numpy as np
 from campaign.errors import TestrangeError
 from campaign.progress import Report
 from campaign.ranging import RangingLine
-from evaluator.bench_model import PanelRange
+from evaluator.benches.bench_model import PanelRange
+from evaluator.benches.total_station import CLASS_MM, StationResult, readings_of, stations_of
 from evaluator.load import in_folder
 from evaluator.model import CampaignData, EvaluationError
 from evaluator.observe.ranging_panels import LEAST_STD_M, RangedPanel, WantedPanel, panels_in_scan
-from evaluator.total_station import CLASS_MM, StationResult, readings_of, stations_of
 
 MIN_OBSERVATIONS = 5  # 9.1.2 c, f
 FULL_OVER_FWHM = 1.699  # of a Gaussian beam: width at 1/e2 over width at half maximum

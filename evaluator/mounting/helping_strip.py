@@ -17,7 +17,7 @@ from evaluator.body_rates import body_rates
 from evaluator.camera_model import project
 from evaluator.frames import WorldFrame, body_pose, euler_angles, euler_rotation
 from evaluator.model import EvaluationError, MarkObservation, Mounting, PlaneObservation, VertexObservation
-from evaluator.mounting_model import Problem, System
+from evaluator.mounting.mounting_model import Problem, System
 
 PRIOR_SHARE, CORRELATED = 0.5, 0.95  # not determined: sigma above this share of its prior, or a correlation beyond this
 _AFTER_S = 60.0

@@ -13,8 +13,8 @@ from campaign.records import CameraObservation, Exposure
 from campaign.survey import SurveyedTarget
 from evaluator.camera_model import camera_points, project, project_exposure, row_time
 from evaluator.frames import WorldFrame, body_pose
-from evaluator.geometry import certified_lens, mean_band
 from evaluator.model import CampaignData, EvaluationError, Mounting, SortieData
+from evaluator.mounting.geometry import certified_lens, mean_band
 from evaluator.observe.boards import BoardFit, BoardView, find_board, sides_px
 
 _HAND_STD_PX = 0.5  # of a pixel that a person picked

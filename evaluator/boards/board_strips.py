@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from evaluator.board_model import BoardProblem, Views, observation_covariance, remap
+from evaluator.boards.board_model import BoardProblem, Views, observation_covariance, remap
 from evaluator.frames import euler_rotation
 
 _OTHER_HEIGHT = 1.4  # times the flown one

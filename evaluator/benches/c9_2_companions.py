@@ -9,9 +9,9 @@ import numpy as np
 
 from campaign.bench import BoardSheet
 from campaign.config import Lens
-from evaluator.bench_model import BoardImage
-from evaluator.board_adjustment import Observations, Poses, adjust, poses_only
-from evaluator.camera_calibration import Calibration, weights
+from evaluator.benches.bench_model import BoardImage
+from evaluator.benches.board_adjustment import Observations, Poses, adjust, poses_only
+from evaluator.benches.camera_calibration import Calibration, weights
 from evaluator.camera_model import LENS_NAMES, ideal_px, lens_vector, undistorted_px
 from evaluator.model import EvaluationError
 from evaluator.observe.chessboard import BoardCorners

@@ -14,12 +14,12 @@ import numpy as np
 import scipy.linalg
 import scipy.stats
 
-from evaluator.adjustment import camera_from_lidar_vector
-from evaluator.blunders import kept_problem
-from evaluator.helping_strip import weak_parameters
 from evaluator.model import MountingSolution, SensorSolution
-from evaluator.mounting_model import Problem, System
-from evaluator.single_sensor import solve_camera, solve_lidar
+from evaluator.mounting.adjustment import camera_from_lidar_vector
+from evaluator.mounting.blunders import kept_problem
+from evaluator.mounting.helping_strip import weak_parameters
+from evaluator.mounting.mounting_model import Problem, System
+from evaluator.mounting.single_sensor import solve_camera, solve_lidar
 
 NAMES = tuple(f"camera_from_lidar_{part}" for part in ("roll", "pitch", "yaw", "x", "y", "z"))
 _RANK = 1e-8  # of the largest eigenvalue, after scaling to unit variances: below it a direction is the same either way

@@ -7,12 +7,12 @@ cancel, which the joint solution (`adjustment`) takes into account.
 import numpy as np
 
 from campaign.config import Lens
-from evaluator.adjustment import camera_from_lidar
 from evaluator.camera_model import ideal_px, project_with_jacobian, undistorted_px
 from evaluator.frames import body_pose, euler_rates, euler_rotation, skew
 from evaluator.georeference import nominal_mountings
 from evaluator.model import EvaluationError
-from evaluator.mounting_model import Problem
+from evaluator.mounting.adjustment import camera_from_lidar
+from evaluator.mounting.mounting_model import Problem
 
 
 def rigid_by_pixels(

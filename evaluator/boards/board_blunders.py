@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg
 import scipy.stats
 
-from evaluator.board_model import BoardProblem, Views, observation_covariance, remap
+from evaluator.boards.board_model import BoardProblem, Views, observation_covariance, remap
 from evaluator.model import EvaluationError
 
 LEAST_BOARDS = 3

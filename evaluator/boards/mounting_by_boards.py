@@ -13,7 +13,7 @@ import numpy as np
 
 from evaluator.algorithms.record import OWN_TOOLS, Tools
 from evaluator.algorithms.solvers import board_task, board_xi
-from evaluator.board_blunders import (
+from evaluator.boards.board_blunders import (
     LEAST_BOARDS,
     BoardFitted,
     gauss_newton,
@@ -21,19 +21,19 @@ from evaluator.board_blunders import (
     swapped_pairs,
     without_blunders,
 )
-from evaluator.board_model import BoardProblem, Views, navigation_part, remap, views_of
-from evaluator.board_observations import (
+from evaluator.boards.board_model import BoardProblem, Views, navigation_part, remap, views_of
+from evaluator.boards.board_observations import (
     BoardObservation,
     boards_not_found,
     observe_boards,
     surveyed_boards,
     swapped_by_azimuth,
 )
-from evaluator.board_strips import FREE_DATUM_M, helping_strips, predicted_std
+from evaluator.boards.board_strips import FREE_DATUM_M, helping_strips, predicted_std
 from evaluator.frames import WorldFrame
-from evaluator.geometry import certified_lens
 from evaluator.model import CampaignData, EvaluationError
-from evaluator.mounting_model import PARAMETER_NAMES
+from evaluator.mounting.geometry import certified_lens
+from evaluator.mounting.mounting_model import PARAMETER_NAMES
 
 __all__ = ["BoardMounting", "observe_boards", "solve_by_boards"]
 

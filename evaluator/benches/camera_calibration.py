@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from campaign.config import Lens
-from evaluator.board_adjustment import Observations, Poses, System, adjust, reduced, residuals_and_jacobian
+from evaluator.benches.board_adjustment import Observations, Poses, System, adjust, reduced, residuals_and_jacobian
 from evaluator.model import EvaluationError
 
 _CORNER_SIGMAS = 6.0  # a corner beyond this many robust standard deviations is wild

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.stats import norm
 
 from campaign.sensors import Calibration
-from evaluator.bench_model import ChessboardResult, RangingResult
+from evaluator.benches.bench_model import ChessboardResult, RangingResult
+from evaluator.benches.photon_transfer import PhotonTransfer
 from evaluator.camera_model import LENS_NAMES, lens_vector
 from evaluator.model import MountingSolution
-from evaluator.photon_transfer import PhotonTransfer
 
 _FAMILY = 0.005
 

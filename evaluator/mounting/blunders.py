@@ -11,7 +11,7 @@ import scipy.linalg
 import scipy.stats
 
 from evaluator.model import MarkObservation, MountingSolution, PlaneObservation, VertexObservation
-from evaluator.mounting_model import KINDS, Problem, System
+from evaluator.mounting.mounting_model import KINDS, Problem, System
 
 # An observation is a blunder when its test's tail probability falls below this.
 _BLUNDER = 1e-5

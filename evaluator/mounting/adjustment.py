@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-from evaluator.blunders import (
+from evaluator.frames import euler_angles
+from evaluator.model import EvaluationError, Mounting, MountingSolution
+from evaluator.mounting.blunders import (
     common_shift,
     describe_group,
     rescaled,
@@ -18,10 +20,8 @@ from evaluator.blunders import (
     without,
     worst_groups,
 )
-from evaluator.frames import euler_angles
-from evaluator.helping_strip import helping_strips
-from evaluator.model import EvaluationError, Mounting, MountingSolution
-from evaluator.mounting_model import KINDS, Problem, System, mounting_of
+from evaluator.mounting.helping_strip import helping_strips
+from evaluator.mounting.mounting_model import KINDS, Problem, System, mounting_of
 
 _MOST_REJECTED = 0.25  # of all observations; more is no longer a matter of single blunders
 

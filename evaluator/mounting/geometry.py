@@ -12,7 +12,6 @@ from campaign.config import Lens
 from campaign.records import CameraObservation, Exposure
 from campaign.sensors import CameraSheet
 from campaign.survey import SurveyedTarget
-from evaluator.adjustment import solve_mountings
 from evaluator.algorithms.record import OWN_TOOLS, Tools
 from evaluator.algorithms.slots import AlgorithmFailure, MarkTask
 from evaluator.algorithms.solvers import Solve, mountings_solver
@@ -29,11 +28,12 @@ from evaluator.model import (
     SortieData,
     VertexObservation,
 )
-from evaluator.mounting_model import Problem, SurveyedMark
+from evaluator.mounting.adjustment import solve_mountings
+from evaluator.mounting.mounting_model import Problem, SurveyedMark
+from evaluator.mounting.panel_planes import PlanesFound, contradiction, observe_planes, surveyed_panels
 from evaluator.observe.frustums import FrustumModel, find_vertex, frustum_model
 from evaluator.observe.mark_view import MarkView, mark_radius_px
 from evaluator.observe.target_view import sheet_corners, to_sun
-from evaluator.panel_planes import PlanesFound, contradiction, observe_planes, surveyed_panels
 
 _HAND_STD_PX = 0.5  # of a pixel that a person picked
 _WIDEST_SEARCH_PX = 120.0

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from evaluator.adjustment import fit_problem, strong_pairs
 from evaluator.model import SensorSolution
-from evaluator.mounting_model import Problem
+from evaluator.mounting.adjustment import fit_problem, strong_pairs
+from evaluator.mounting.mounting_model import Problem
 
 
 def solve_camera(problem: Problem, *, snoop: bool = True, start: np.ndarray | None = None) -> SensorSolution:

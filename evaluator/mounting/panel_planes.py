@@ -16,7 +16,7 @@ from campaign.survey import SurveyedTarget
 from evaluator.frames import WorldFrame, body_pose
 from evaluator.georeference import TargetReturns, corrected_points, lidar_points, world_points
 from evaluator.model import CampaignData, EvaluationError, Mounting, MountingSolution, PlaneObservation, SortieData
-from evaluator.mounting_model import SurveyedPanel
+from evaluator.mounting.mounting_model import SurveyedPanel
 from evaluator.observe.panels import panel_axes_world, returns_on_panel
 
 _LEAST_POINTS = 20

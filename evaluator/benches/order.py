@@ -11,12 +11,12 @@ from scipy.stats import chi2
 from campaign.progress import Report
 from campaign.sensors import Calibration as Certificate
 from campaign.sensors import CameraSheet
-from evaluator.bench_model import ChessboardResult, RangingResult, SphereResult
+from evaluator.benches.bench_model import ChessboardResult, RangingResult, SphereResult
+from evaluator.benches.photon_transfer import PhotonTransfer, photon_transfer
 from evaluator.c8_2_camera_radiometry import evaluate_sphere
 from evaluator.c9_1_lidar_ranging import evaluate_ranging
 from evaluator.c9_2_camera_geometry import evaluate_chessboard
 from evaluator.model import CampaignData, RangeCorrection
-from evaluator.photon_transfer import PhotonTransfer, photon_transfer
 from evaluator.results_model import IndicatorValue
 
 _WORST_PX = 1.0  # M_z beyond table 3: no such calibration serves another indicator

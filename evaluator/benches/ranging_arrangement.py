@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from campaign.ranging import RangingLine, StationReading
-from evaluator.bench_model import PanelRange
-from evaluator.model import CampaignData, EvaluationError
-from evaluator.ranging_fit import MIN_PANELS, adjusted_constants
-from evaluator.ranging_observations import (
+from evaluator.benches.bench_model import PanelRange
+from evaluator.benches.ranging_fit import MIN_PANELS, adjusted_constants
+from evaluator.benches.ranging_observations import (
     BESIDE_SHARE,
     Found,
     lidar_covariance_m2,
@@ -21,7 +20,8 @@ from evaluator.ranging_observations import (
     panel_ranges,
     station_of,
 )
-from evaluator.total_station import StationResult, covariance_m2, eccentricity_covariance_m2
+from evaluator.benches.total_station import StationResult, covariance_m2, eccentricity_covariance_m2
+from evaluator.model import CampaignData, EvaluationError
 
 BETTER = 0.25  # the other arrangement's misfit, of the recorded one's
 DEGREES_OF_GON = 0.9

@@ -12,11 +12,11 @@ import numpy as np
 from campaign.config import Lens
 from campaign.sensors import Rig
 from campaign.trajectory import Trajectory
-from evaluator.board_observations import BoardObservation
+from evaluator.boards.board_observations import BoardObservation
 from evaluator.camera_model import project_with_jacobian
 from evaluator.frames import WorldFrame, body_pose, euler_angles, euler_rates
 from evaluator.georeference import nominal_mountings
-from evaluator.mounting_model import mounting_of, navigation_covariance, observe_points
+from evaluator.mounting.mounting_model import mounting_of, navigation_covariance, observe_points
 
 _ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _CLOCK_STEP_S = 0.005  # over which the pixel's change with time is taken, to both sides

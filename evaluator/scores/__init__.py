@@ -1,0 +1,1 @@
+"""Results against the truth of a simulated campaign: the only rooms that open truth/."""
