@@ -213,12 +213,18 @@ def vignetting(camera: Camera, window: Window | None = None) -> np.ndarray:
     """Relative illumination (h, w), of a window where there is one: 1 on the axis, 1 - `vignetting` at the sensor's
     farthest corner, quadratic in the radius.
     """
+    row, column, corner = _from_axis(camera, window)
+    return np.asarray(1 - camera.vignetting * (row[:, None] + column) / corner, np.float32)
+
+
+def _from_axis(camera: Camera, window: Window | None) -> tuple[np.ndarray, np.ndarray, float]:
+    """Squared distances from the axis: of the rows (h,), of the columns (w,), of the sensor's farthest corner. [px2]"""
     part = middle_window(camera, None) if window is None else window
-    x = (np.arange(part.column, part.column + part.width_px) + 0.5 - camera.lens.cx_px) ** 2
-    y = (np.arange(part.row, part.row + part.height_px) + 0.5 - camera.lens.cy_px) ** 2
+    column = (np.arange(part.column, part.column + part.width_px) + 0.5 - camera.lens.cx_px) ** 2
+    row = (np.arange(part.row, part.row + part.height_px) + 0.5 - camera.lens.cy_px) ** 2
     corner = max(camera.lens.cx_px, camera.width_px - camera.lens.cx_px) ** 2
     corner += max(camera.lens.cy_px, camera.height_px - camera.lens.cy_px) ** 2
-    return np.asarray(1 - camera.vignetting * (y[:, None] + x) / corner, np.float32)
+    return row, column, corner
 
 
 def expose(
@@ -254,36 +260,37 @@ def expose(
     (h, w, bands) uint16 ndarray
         DN, black level included.
     """
+    from simulator.normals import normal_stream
+    from simulator.pixels import expected, steps
+
     dn = np.empty(radiance.shape, np.uint16)
-    light = vignetting(camera, window)
+    row, column, corner = _from_axis(camera, window)
     per_radiance = exposing.e_per_radiance.astype(np.float32)
     dark = np.float32((camera.dark_current_e_s if dark_e_s is None else dark_e_s) * exposing.exposure_time_s)
-    read_variance = np.float32(camera.read_noise_e**2)
-    full_well = np.float32(camera.full_well_e)
-    dn_per_e = np.float32(camera_gain_fault / exposing.e_per_dn)
-    # + 0.5: the conversion to integers truncates.
-    black = np.float32(camera.black_level_dn + 0.5)
-    last = np.float32(2**camera.bit_depth - 1)
-    for first in range(0, len(radiance), ROWS_AT_ONCE):
+    levels = (
+        np.float32(camera.read_noise_e**2),
+        np.float32(camera.full_well_e),
+        np.float32(camera_gain_fault / exposing.e_per_dn),
+        np.float32(camera.black_level_dn + 0.5),  # the conversion to integers truncates
+        np.float32(2**camera.bit_depth - 1),
+    )
+    shape = (ROWS_AT_ONCE, *dn.shape[1:])
+    means, normals, below = np.empty(shape, np.float32), np.empty(shape, np.float32), np.float32(POISSON_BELOW_E)
+    words = np.empty((normals.size + 1) // 2, np.uint64)
+    seen = np.broadcast_to(np.asarray(radiance, np.float32), dn.shape)
+    for first in range(0, len(dn), ROWS_AT_ONCE):
         rows = slice(first, first + ROWS_AT_ONCE)
-        mean = radiance[rows] * (light[rows, :, None] * per_radiance)
-        mean *= 1 + pattern.prnu[rows]
-        mean += dark
-        np.maximum(mean, 0, out=mean)
-        noise = rng_frame.standard_normal(mean.shape, dtype=np.float32)
-        few = mean < POISSON_BELOW_E
-        noise *= np.sqrt(mean + read_variance)
-        electrons = mean + noise
-        if few.any():
-            low = mean[few]
+        mean, noise = means[: len(dn[rows])], normals[: len(dn[rows])]
+        place = (row[rows], column, corner)
+        few = expected(seen[rows], place, camera.vignetting, per_radiance, pattern.prnu[rows], dark, below, mean)
+        key = rng_frame.integers(1 << 64, dtype=np.uint64)
+        normal_stream(key, np.uint64(0), words, words.view(np.int32), noise.reshape(-1))
+        if few:
+            where = mean < below
+            low = mean[where]
             drawn = rng_frame.poisson(low) + camera.read_noise_e * rng_frame.standard_normal(len(low))
-            electrons[few] = drawn.astype(np.float32)
-        electrons += pattern.dsnu_e[rows]
-        np.minimum(electrons, full_well, out=electrons)
-        electrons *= dn_per_e
-        electrons += black
-        np.clip(electrons, 0, last, out=electrons)
-        dn[rows] = electrons
+            mean[where], noise[where] = drawn.astype(np.float32), 0
+        steps(mean, noise, pattern.dsnu_e[rows], levels, dn[rows])
     return dn
 
 

@@ -1,0 +1,61 @@
+"""The two passes over a sensor's pixels that `simulator.sensor` takes, compiled: electrons expected, and electrons to steps.
+
+In float32 throughout, one operation after the other, so that the bytes are those of the same lines in NumPy.
+"""
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def expected(
+    radiance: np.ndarray,
+    place: tuple[np.ndarray, np.ndarray, float],
+    vignetting: float,
+    per_radiance: np.ndarray,
+    prnu: np.ndarray,
+    dark: np.float32,
+    few_below: np.float32,
+    mean: np.ndarray,
+) -> int:
+    """Mean electrons (rows, w, bands) of every pixel, dark current included, into `mean`; how many are below `few_below`.
+
+    place: squared distances from the axis of rows and columns, and of the farthest corner.
+    """
+    y, x, corner = place
+    few = 0
+    for i in range(mean.shape[0]):
+        for j in range(mean.shape[1]):
+            light = np.float32(1 - vignetting * (y[i] + x[j]) / corner)
+            for b in range(mean.shape[2]):
+                value = radiance[i, j, b] * (light * per_radiance[b])
+                value *= np.float32(1) + prnu[i, j, b]
+                value += dark
+                value = max(value, np.float32(0))
+                few += value < few_below
+                mean[i, j, b] = value
+    return few
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def steps(
+    mean: np.ndarray,
+    noise: np.ndarray,
+    dsnu_e: np.ndarray,
+    levels: tuple[np.float32, np.float32, np.float32, np.float32, np.float32],
+    dn: np.ndarray,
+) -> None:
+    """Whole steps of pixels with `noise` in standard deviations; where it is zero, `mean` has its noise already.
+
+    levels: variance of reading [e2], full well [e], steps an electron, black level and a half, last step.
+    """
+    read_variance, full_well, dn_per_e, black, last = levels
+    for i in range(mean.shape[0]):
+        for j in range(mean.shape[1]):
+            for b in range(mean.shape[2]):
+                spread = np.sqrt(max(mean[i, j, b] + read_variance, np.float32(0)))
+                value = mean[i, j, b] + noise[i, j, b] * spread
+                value = min(value + dsnu_e[i, j, b], full_well)
+                value = value * dn_per_e + black
+                value = min(max(value, np.float32(0)), last)
+                dn[i, j, b] = np.uint16(np.int32(value))
