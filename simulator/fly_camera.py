@@ -49,7 +49,7 @@ def fly_camera(world: Range, place: CampaignFolder, progress: Report, journal: J
     """Images, previews and exposures.csv of every sortie, and truth/marks.csv."""
     config = world.config
     exposing = sensor.exposure_gain(config.camera, light_at(world, world.sorties[0].strips[0].start_s))
-    fixed_pattern = sensor.fixed_pattern(config.camera, generator(config.seed, Stream.CAMERA_FIXED_PATTERN))
+    fixed_pattern = sensor.fixed_pattern(generator(config.seed, Stream.CAMERA_FIXED_PATTERN))
     frames = [
         (sortie, estimated, strip, index, time)
         for sortie, estimated in zip(world.sorties, world.estimated, strict=True)
@@ -156,11 +156,8 @@ def _develop(frame: _Frame, first: int, radiance: np.ndarray) -> None:
     """A band of rows, from row `first` on; the frame's noise is one sequence, so bands come in order."""
     camera = frame.config.camera
     window = sensor.Window(column=0, row=first, width_px=camera.width_px, height_px=len(radiance))
-    pattern = sensor.FixedPattern(
-        prnu=frame.fixed_pattern.prnu[window.cut], dsnu_e=frame.fixed_pattern.dsnu_e[window.cut]
-    )
     gain = frame.config.faults.camera_gain
-    frame.dn[window.cut] = sensor.expose(radiance, camera, frame.exposing, gain, frame.noise, pattern, window)
+    frame.dn[window.cut] = sensor.expose(radiance, camera, frame.exposing, gain, frame.noise, frame.fixed_pattern, window)
 
 
 def _write(frame: _Frame, unit: str, journal: Journal) -> None:

@@ -1,10 +1,29 @@
-"""The two passes over a sensor's pixels that `simulator.sensor` takes, compiled: electrons expected, and electrons to steps.
+"""The passes over a sensor's pixels that `simulator.sensor` takes, compiled: its pattern, electrons expected, electrons to steps.
 
 In float32 throughout, one operation after the other, so that the bytes are those of the same lines in NumPy.
 """
 
 import numba
 import numpy as np
+
+from simulator.normals import normal_stream
+
+
+@numba.njit(cache=True, nogil=True)
+def pattern(key: np.uint64, row: int, column: int, width_px: int, out: np.ndarray) -> None:
+    """Standard normal numbers (rows, w, bands) that belong to the pixels of a window which begins at `row` and `column`."""
+    n = out.shape[1] * out.shape[2]
+    words, line = np.empty((n + 2) // 2, np.uint64), np.empty(n + 1, np.float32)
+    sums = words.view(np.int32)
+    for i in range(out.shape[0]):
+        first = ((row + i) * width_px + column) * out.shape[2]
+        odd = first % 2
+        normal_stream(key, np.uint64(first // 2), words, sums, line[: n + odd])
+        k = odd
+        for j in range(out.shape[1]):
+            for b in range(out.shape[2]):
+                out[i, j, b] = line[k]
+                k += 1
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -13,7 +32,8 @@ def expected(
     place: tuple[np.ndarray, np.ndarray, float],
     vignetting: float,
     per_radiance: np.ndarray,
-    prnu: np.ndarray,
+    prnu: np.float32,
+    deviate: np.ndarray,
     dark: np.float32,
     few_below: np.float32,
     mean: np.ndarray,
@@ -29,7 +49,7 @@ def expected(
             light = np.float32(1 - vignetting * (y[i] + x[j]) / corner)
             for b in range(mean.shape[2]):
                 value = radiance[i, j, b] * (light * per_radiance[b])
-                value *= np.float32(1) + prnu[i, j, b]
+                value *= np.float32(1) + prnu * deviate[i, j, b]
                 value += dark
                 value = max(value, np.float32(0))
                 few += value < few_below
@@ -41,7 +61,8 @@ def expected(
 def steps(
     mean: np.ndarray,
     noise: np.ndarray,
-    dsnu_e: np.ndarray,
+    dsnu_e: np.float32,
+    deviate: np.ndarray,
     levels: tuple[np.float32, np.float32, np.float32, np.float32, np.float32],
     dn: np.ndarray,
 ) -> None:
@@ -55,7 +76,7 @@ def steps(
             for b in range(mean.shape[2]):
                 spread = np.sqrt(max(mean[i, j, b] + read_variance, np.float32(0)))
                 value = mean[i, j, b] + noise[i, j, b] * spread
-                value = min(value + dsnu_e[i, j, b], full_well)
+                value = min(value + dsnu_e * deviate[i, j, b], full_well)
                 value = value * dn_per_e + black
                 value = min(max(value, np.float32(0)), last)
                 dn[i, j, b] = np.uint16(np.int32(value))

@@ -38,10 +38,11 @@ class Exposing:
 
 @dataclass(frozen=True, kw_only=True)
 class FixedPattern:
-    """What differs from pixel to pixel and stays, drawn once for a camera."""
+    """What differs from pixel to pixel and stays: keys of normal numbers that belong to a pixel's place, so that no map of the
+    sensor is kept."""
 
-    prnu: np.ndarray  # (h, w, bands) float32, relative gain error
-    dsnu_e: np.ndarray  # (h, w, bands) float32 [e]
+    prnu: np.uint64  # relative gain error, in standard deviations
+    dsnu: np.uint64  # offset, the same
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,13 +67,6 @@ def middle_window(camera: Camera, size_px: tuple[int, int] | None) -> Window:
     return Window(
         column=(camera.width_px - width) // 2, row=(camera.height_px - height) // 2, width_px=width, height_px=height
     )
-
-
-def window_pattern(pattern: FixedPattern, window: Window) -> FixedPattern:
-    """The fixed pattern of a window, copied, so that the whole sensor's can be let go; of the whole sensor, itself."""
-    if pattern.prnu.shape[:2] == (window.height_px, window.width_px):
-        return pattern
-    return FixedPattern(prnu=pattern.prnu[window.cut].copy(), dsnu_e=pattern.dsnu_e[window.cut].copy())
 
 
 def dark_current_e_s(camera: Camera, temperature_c: float, doubling_k: float) -> float:
@@ -200,13 +194,19 @@ def _irradiances(camera: Camera, light: SunSky) -> list[tuple[float, float]]:
     return [band_irradiance(light, band) for band in camera.bands]
 
 
-def fixed_pattern(camera: Camera, rng: np.random.Generator) -> FixedPattern:
+def fixed_pattern(rng: np.random.Generator) -> FixedPattern:
     """Draw the photo-response and dark-signal non-uniformity of one camera."""
-    shape = (camera.height_px, camera.width_px, len(camera.bands))
-    return FixedPattern(
-        prnu=rng.standard_normal(shape, dtype=np.float32) * np.float32(camera.prnu),
-        dsnu_e=rng.standard_normal(shape, dtype=np.float32) * np.float32(camera.dsnu_e),
-    )
+    prnu, dsnu = rng.integers(1 << 64, size=2, dtype=np.uint64)
+    return FixedPattern(prnu=prnu, dsnu=dsnu)
+
+
+def deviates(key: np.uint64, camera: Camera, window: Window) -> np.ndarray:
+    """Standard normal numbers (h, w, bands) of a pattern's pixels in a window."""
+    from simulator.pixels import pattern
+
+    out = np.empty((window.height_px, window.width_px, len(camera.bands)), np.float32)
+    pattern(key, window.row, window.column, camera.width_px, out)
+    return out
 
 
 def vignetting(camera: Camera, window: Window | None = None) -> np.ndarray:
@@ -248,9 +248,9 @@ def expose(
     rng_frame : numpy.random.Generator
         Of this frame's temporal noise.
     pattern : FixedPattern
-        Of the pixels that are read out: of the window where there is one.
+        Of the camera.
     window : Window, optional
-        What `radiance` and `pattern` show of the sensor; absent: all of it. Windows of ROWS_AT_ONCE rows, or a multiple,
+        What `radiance` shows of the sensor; absent: all of it. Windows of ROWS_AT_ONCE rows, or a multiple,
         one below the other and with one generator, give the bytes of the whole.
     dark_e_s : float, optional
         Dark current at the sensor's temperature; absent: as the camera's data state it. [e/s]
@@ -262,7 +262,9 @@ def expose(
     """
     from simulator.normals import normal_stream
     from simulator.pixels import expected, steps
+    from simulator.pixels import pattern as pattern_of
 
+    part = middle_window(camera, None) if window is None else window
     dn = np.empty(radiance.shape, np.uint16)
     row, column, corner = _from_axis(camera, window)
     per_radiance = exposing.e_per_radiance.astype(np.float32)
@@ -275,14 +277,16 @@ def expose(
         np.float32(2**camera.bit_depth - 1),
     )
     shape = (ROWS_AT_ONCE, *dn.shape[1:])
-    means, normals, below = np.empty(shape, np.float32), np.empty(shape, np.float32), np.float32(POISSON_BELOW_E)
+    means, normals, of_place = np.empty((3, *shape), np.float32)
+    below, prnu, dsnu_e = np.float32(POISSON_BELOW_E), np.float32(camera.prnu), np.float32(camera.dsnu_e)
     words = np.empty((normals.size + 1) // 2, np.uint64)
     seen = np.broadcast_to(np.asarray(radiance, np.float32), dn.shape)
     for first in range(0, len(dn), ROWS_AT_ONCE):
         rows = slice(first, first + ROWS_AT_ONCE)
-        mean, noise = means[: len(dn[rows])], normals[: len(dn[rows])]
+        mean, noise, deviate = (block[: len(dn[rows])] for block in (means, normals, of_place))
+        pattern_of(pattern.prnu, part.row + first, part.column, camera.width_px, deviate)
         place = (row[rows], column, corner)
-        few = expected(seen[rows], place, camera.vignetting, per_radiance, pattern.prnu[rows], dark, below, mean)
+        few = expected(seen[rows], place, camera.vignetting, per_radiance, prnu, deviate, dark, below, mean)
         key = rng_frame.integers(1 << 64, dtype=np.uint64)
         normal_stream(key, np.uint64(0), words, words.view(np.int32), noise.reshape(-1))
         if few:
@@ -290,7 +294,8 @@ def expose(
             low = mean[where]
             drawn = rng_frame.poisson(low) + camera.read_noise_e * rng_frame.standard_normal(len(low))
             mean[where], noise[where] = drawn.astype(np.float32), 0
-        steps(mean, noise, pattern.dsnu_e[rows], levels, dn[rows])
+        pattern_of(pattern.dsnu, part.row + first, part.column, camera.width_px, deviate)
+        steps(mean, noise, dsnu_e, deviate, levels, dn[rows])
     return dn
 
 

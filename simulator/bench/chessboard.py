@@ -88,7 +88,7 @@ def simulate_chessboard(
             material="printed, matt, on a plane plate",
         ),
     )
-    pattern = sensor.fixed_pattern(config.camera, generator(config.seed, Stream.CAMERA_FIXED_PATTERN))
+    pattern = sensor.fixed_pattern(generator(config.seed, Stream.CAMERA_FIXED_PATTERN))
     scene = load_scene(board_scene(board, settings))
     rows = []
     waiting: deque[Future[None]] = deque()

@@ -184,9 +184,7 @@ def simulate_sphere(
         window=window,
         light=light,
         exposing=bench_exposure(config, light, float(lamp_output(sphere, stability_s[:1])[0])),
-        pattern=sensor.window_pattern(
-            sensor.fixed_pattern(camera, generator(config.seed, Stream.CAMERA_FIXED_PATTERN)), window
-        ),
+        pattern=sensor.fixed_pattern(generator(config.seed, Stream.CAMERA_FIXED_PATTERN)),
     )
     for key, folder, times in (
         (STABILITY, place.sphere_stability, stability_s),
@@ -270,7 +268,7 @@ def sphere_picture(
     ----------
     output : float
         Of the lamp, relative to its nominal power, flicker included.
-    pattern, window
+    window
         The pixels that are read out; `light` shows the same ones.
     """
     relative = np.broadcast_to(light.relative[..., None], (*light.relative.shape, len(camera.bands)))

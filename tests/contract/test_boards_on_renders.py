@@ -118,7 +118,7 @@ def photograph(rng: np.random.Generator, slant_deg: float, blur_px: float, sampl
     render = Render(samples=2, target_samples=samples, bounces=1)
     regions = target_regions(camera, pose, scene)
     radiance = render_frame(loaded, camera, pose, sun, render, int(rng.integers(1 << 30)), (1,), regions)
-    image = expose(radiance, camera, exposure_gain(camera, sun), 1.0, rng, fixed_pattern(camera, rng))
+    image = expose(radiance, camera, exposure_gain(camera, sun), 1.0, rng, fixed_pattern(rng))
     truth, _ = project(camera, pose, np.stack([t.mark_m for t in scene.targets]))
     turned = np.array([[np.cos(WRONG), -np.sin(WRONG), 0.0], [np.sin(WRONG), np.cos(WRONG), 0.0], [0.0, 0.0, 1.0]])
     views = []

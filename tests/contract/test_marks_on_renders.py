@@ -132,7 +132,7 @@ def photograph(
         (1,),
         target_regions(CAMERA, pose, scene),
     )
-    image = expose(radiance, CAMERA, exposure_gain(CAMERA, sun), 1.0, rng, fixed_pattern(CAMERA, rng))
+    image = expose(radiance, CAMERA, exposure_gain(CAMERA, sun), 1.0, rng, fixed_pattern(rng))
     turned = np.array([[np.cos(WRONG), -np.sin(WRONG)], [np.sin(WRONG), np.cos(WRONG)]])
     marks = np.stack([target.mark_m for target in scene.targets])
     truth, _ = project(CAMERA, pose, marks)

@@ -26,7 +26,7 @@ def transfer() -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Mean signal, temporal variance, total variance of flat fields at LEVELS_E, and e per DN."""
     light = sun_sky(Site(), Environment(), datetime(2026, 6, 12, 3, 0, tzinfo=UTC))
     exposing = exposure_gain(CAMERA, light)
-    pattern = fixed_pattern(CAMERA, np.random.default_rng(7))
+    pattern = fixed_pattern(np.random.default_rng(7))
     rows = []
     for number, electrons in enumerate(LEVELS_E):
         flat = np.full((256, 256, 1), electrons / exposing.e_per_radiance[0], np.float32)

@@ -75,8 +75,7 @@ def take(setting: Config, seeds: int = SEEDS) -> Taken:
     exposing = bench_exposure(setting, light, float(lamp_output(sphere, times(setting)[0][:1])[0]))
     dn = np.empty((2, seeds, IMAGES, len(camera.bands)))
     for seed in range(seeds):
-        whole = sensor.fixed_pattern(camera, generator(seed, Stream.CAMERA_FIXED_PATTERN))
-        pattern = sensor.window_pattern(whole, window)
+        pattern = sensor.fixed_pattern(generator(seed, Stream.CAMERA_FIXED_PATTERN))
         for series, at in enumerate(times(setting)):
             flicker = np.random.default_rng([seed, series, 1]).standard_normal(IMAGES)
             output = lamp_output(sphere, at) * (1 + sphere.noise_percent / 100 * flicker)
@@ -175,7 +174,7 @@ def test_photon_transfer_gives_back_gain_and_read_noise() -> None:
     exposing = bench_exposure(setting, light, 1.0)
     # One band for all: the flats differ in light alone.
     exposing = replace(exposing, e_per_radiance=np.full(3, exposing.e_per_radiance.max()))
-    pattern = sensor.fixed_pattern(camera, generator(1, Stream.CAMERA_FIXED_PATTERN))
+    pattern = sensor.fixed_pattern(generator(1, Stream.CAMERA_FIXED_PATTERN))
     top = 0.7 / setting.bench.sphere.exposure_share
 
     def flats(level: float, key: int) -> tuple[float, float]:
