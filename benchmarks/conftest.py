@@ -21,8 +21,8 @@ import pytest
 
 from campaign.load import load_config
 from campaign.threads import thread_count
-from simulator import rig
-from simulator.lidar import StripChunk, simulate_strip
+from simulator.flight import rig
+from simulator.lidar.strip import StripChunk, simulate_strip
 from simulator.simulate import Range, prepare_range
 
 LATEST = Path(__file__).parents[1] / "out" / "bench" / "latest.json"

@@ -27,9 +27,10 @@ from scenes.frustums import PART_MARK
 from scenes.model import Scene
 from scenes.panels import PART_TOP
 from scenes.sunsky import sky_radiance_relative
-from simulator import rig, sensor
-from simulator.camera import FramePose, frame_pose, project, target_regions
-from simulator.fly_camera import fly_camera
+from simulator.camera import sensor
+from simulator.camera.fly_camera import fly_camera
+from simulator.camera.view import FramePose, frame_pose, project, target_regions
+from simulator.flight import rig
 from simulator.journal import Journal
 from simulator.render.radiance import render_bands, render_frame
 from simulator.world import Range, light_at, prepare_range

@@ -17,17 +17,17 @@ from campaign import las
 from campaign.config import Config
 from campaign.truth import TrueReturnsWriter
 from scenes.model import Mesh, Scene
-from simulator import rig
-from simulator.device import Device, normals
-from simulator.fly_lidar import write_strip
-from simulator.footprint import Optics
-from simulator.georeference import Track
-from simulator.lidar import StripChunk, backscatter, optics_from, simulate_strip
+from simulator.flight import rig
+from simulator.flight.georeference import Track
+from simulator.lidar.device import Device, normals
+from simulator.lidar.fly_lidar import write_strip
+from simulator.lidar.footprint import Optics
+from simulator.lidar.radar_equation import SPEED_OF_LIGHT_M_S
+from simulator.lidar.scanner import scanner_from
+from simulator.lidar.strip import StripChunk, backscatter, optics_from, simulate_strip
 from simulator.pulses.caster import Caster, Seen
-from simulator.radar_equation import SPEED_OF_LIGHT_M_S
 from simulator.render.scene import load_scene
 from simulator.render.waveforms import Beams, Tracer
-from simulator.scanner import scanner_from
 from simulator.simulate import Range
 
 Record = Callable[..., None]

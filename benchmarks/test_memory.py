@@ -15,7 +15,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from campaign.load import load_config
-from simulator.flight import design_lines
+from simulator.flight.plan import design_lines
 from simulator.world import prepare_range
 
 TINY = Path(__file__).parents[1] / "tests" / "data" / "tiny.toml"

@@ -8,9 +8,9 @@ from campaign.survey import Spectra, SurveyedTarget
 from scenes.model import Scene, Target
 from scenes.sunsky import sun_sky
 from simulator.faults import faulty_survey
-from simulator.flight import Sortie, design_lines, speeds_m_s
-from simulator.frames import SiteFrame
-from simulator.navigation import navigation_std
+from simulator.flight.frames import SiteFrame
+from simulator.flight.navigation import navigation_std
+from simulator.flight.plan import Sortie, design_lines, speeds_m_s
 from simulator.randomness import Stream, generator
 from simulator.times import BEIJING, utc_from_gps_time
 

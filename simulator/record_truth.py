@@ -9,13 +9,13 @@ from campaign.config import Camera, Config, Faults, Vector3
 from campaign.load import dump_toml
 from scenes.model import Scene, Target
 from scenes.spectra import band_reflectance, reflectance_at
-from simulator import camera as camera_maths
-from simulator import rig
+from simulator.camera import view as camera_maths
+from simulator.camera.ripple import ripple_px
 from simulator.faults import true_lens
-from simulator.frames import SiteFrame
-from simulator.motion import Motion
-from simulator.navigation import trajectory_of
-from simulator.ripple import ripple_px
+from simulator.flight import rig
+from simulator.flight.frames import SiteFrame
+from simulator.flight.motion import Motion
+from simulator.flight.navigation import trajectory_of
 
 
 def marks_in(

@@ -14,13 +14,14 @@ from campaign.folder import CampaignFolder, SortieFolder
 from campaign.progress import Report, silent
 from campaign.threads import one_blas_thread
 from scenes.model import Scene
-from simulator import paperwork, record_truth, rig
+from simulator import paperwork, record_truth
 from simulator.faults import with_panel_gains, with_true_lens
-from simulator.flight import SETTLE_S, Sortie
-from simulator.frames import SiteFrame
+from simulator.flight import rig
+from simulator.flight.frames import SiteFrame
+from simulator.flight.motion import Motion
+from simulator.flight.navigation import trajectory_of
+from simulator.flight.plan import SETTLE_S, Sortie
 from simulator.journal import Journal
-from simulator.motion import Motion
-from simulator.navigation import trajectory_of
 from simulator.times import BEIJING, gps_time_from_iso, gps_week, utc_from_gps_time
 from simulator.world import Range, prepare_range
 
@@ -67,7 +68,7 @@ def simulate_campaign(
         bench = _simulate_bench(optics, place, start_s, progress, journal, parts)
     ranging = None
     if "ranging" in parts:
-        from simulator.ranging import simulate_ranging, true_ranging
+        from simulator.lidar.ranging import simulate_ranging, true_ranging
 
         simulate_ranging(config, place, start_s - RANGING_BEFORE_S, progress, journal)
         ranging = true_ranging(config)
@@ -94,7 +95,7 @@ def _refuse_early(config: Config, parts: frozenset[str]) -> None:
 
         plan_placements(config)
     if "ranging" in parts:
-        from simulator.ranging import prepare_line
+        from simulator.lidar.ranging import prepare_line
 
         prepare_line(config)
 
@@ -136,8 +137,8 @@ def _fly(
     world: Range, place: CampaignFolder, parts: frozenset[str], progress: Report, journal: Journal
 ) -> tuple[Scene, dict[int, Motion]]:
     """Survey, plan and trajectories, then what the sensors saw."""
-    from simulator.fly_camera import fly_camera
-    from simulator.fly_lidar import fly_lidar
+    from simulator.camera.fly_camera import fly_camera
+    from simulator.lidar.fly_lidar import fly_lidar
 
     if not journal.shares:
         _write_paperwork(world, place)

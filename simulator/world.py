@@ -6,13 +6,13 @@ from campaign.config import Config
 from scenes.build import build_scene
 from scenes.model import Scene, SunSky
 from scenes.sunsky import sun_sky
+from simulator.camera.ripple import require_no_fold
 from simulator.faults import require_targets, with_panel_gains, with_true_lens
-from simulator.flight import Sortie, fly
-from simulator.frames import SiteFrame
-from simulator.motion import Motion
-from simulator.navigation import estimate_motion
+from simulator.flight.frames import SiteFrame
+from simulator.flight.motion import Motion
+from simulator.flight.navigation import estimate_motion
+from simulator.flight.plan import Sortie, fly
 from simulator.render.scene import RenderScene, load_scene
-from simulator.ripple import require_no_fold
 from simulator.times import utc_from_gps_time
 
 

@@ -29,7 +29,6 @@ from campaign.config import Camera, Config, Faults, Lens
 from campaign.folder import CampaignFolder
 from campaign.progress import Report
 from scenes.chessboard import LAMP_CAMERA_M, Board, board_of, board_scene, lamp_intensity
-from simulator import sensor
 from simulator.bench.placements import (
     Placement,
     bench_f_number,
@@ -38,13 +37,14 @@ from simulator.bench.placements import (
     plan_placements,
     project_board,
 )
+from simulator.camera import sensor
+from simulator.camera.ripple import ripple_px, rippled
 from simulator.journal import Journal
 from simulator.kept import kept_array
 from simulator.randomness import Stream, generator, scene_seed
 from simulator.render.board import BoardView, render_board
 from simulator.render.sampling import frame_words
 from simulator.render.scene import load_scene
-from simulator.ripple import ripple_px, rippled
 
 INTERVAL_S = 20.0  # between pictures
 WALL_BEHIND_M = 1.5  # the wall stands this far behind the farthest position

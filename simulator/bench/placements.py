@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from campaign.config import Config, Lens
 from campaign.errors import ConfigError
 from scenes.chessboard import Board, board_of
-from simulator.camera import distort, pixel_from_distorted
+from simulator.camera.view import distort, pixel_from_distorted
 from simulator.randomness import Stream, generator, scene_seed
 
 CELLS = (8, 6)  # of the field, across and down: each holds a corner at every distance

@@ -21,8 +21,8 @@ from campaign.folder import CampaignFolder
 from campaign.progress import Report
 from campaign.threads import one_blas_thread
 from scenes.sphere import build_sphere, lamp_flux_per_nm
-from simulator import sensor
-from simulator.camera import undistort
+from simulator.camera import sensor
+from simulator.camera.view import undistort
 from simulator.journal import Journal
 from simulator.kept import kept_array
 from simulator.randomness import Stream, generator, scene_seed

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 from scenes.model import Mesh
-from simulator.footprint import Footprint, Optics, gaussian_footprint
+from simulator.lidar.footprint import Footprint, Optics, gaussian_footprint
+from simulator.lidar.radar_equation import SPEED_OF_LIGHT_M_S
 from simulator.pulses.cone import see_mixed
 from simulator.pulses.fan import touch
 from simulator.pulses.rows import true_surfaces
 from simulator.pulses.surface import see_surfaces
 from simulator.pulses.tree import tree_of
-from simulator.radar_equation import SPEED_OF_LIGHT_M_S
 
 FEW = 61  # sub-rays where a footprint's triangles are one creased surface
 

@@ -3,7 +3,7 @@
 Mitsuba traces the rays; the paths are ours. One lane is one pixel, its samples run in a loop inside the kernel and their sum
 is written once, so the picture is the same to the byte for any number of threads and any size of tile. Sun and sky are
 sampled apart; the ray that samples the sky is also the path's continuation, so a vertex costs two rays. Vignetting, noise and
-DN are `simulator.sensor`'s.
+DN are `simulator.camera.sensor`'s.
 
 Limits: diffuse surfaces (with an opposition peak in the sun's direct light); no air between ground and camera; the sky is a
 CIE clear sky in `sky.ROWS` x `sky.COLUMNS` cells; the sun is a uniform disc; pose rates are constant during an exposure.
@@ -18,7 +18,7 @@ import numpy as np
 from campaign.config import Camera, Render
 from campaign.errors import ConfigError
 from scenes.model import SunSky
-from simulator.camera import FramePose, undistort, undistort_step
+from simulator.camera.view import FramePose, undistort, undistort_step
 from simulator.render import start
 from simulator.render.ambient import ambient_table
 from simulator.render.paths import (
@@ -50,7 +50,7 @@ EDGE_FACTOR = 4  # pixels at an edge inside a target's box get this many times i
 MAX_SAMPLES = 4096
 TILE = 1 << 20  # lanes in flight
 BAND_PIXELS = 1 << 20  # of a band of rows
-ROW_STEP = 16  # bands are whole blocks of the sensor's noise (simulator.sensor.ROWS_AT_ONCE)
+ROW_STEP = 16  # bands are whole blocks of the sensor's noise (simulator.camera.sensor.ROWS_AT_ONCE)
 BOX_PIXELS = 1 << 17  # of boxes that are rendered together
 Region = tuple[int, int, int, int, int]
 
@@ -126,7 +126,7 @@ def render_bands(
     seed, frame_key : int, tuple of int
         Of the samples; the same words give the same bytes.
     regions : list of (target index, u0, v0, u1, v1)
-        From `simulator.camera.target_regions`. [px]
+        From `simulator.camera.view.target_regions`. [px]
     tile : int
         Lanes at a time, a power of two of at least 1024; memory, not the picture, depends on it.
 

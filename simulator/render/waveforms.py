@@ -4,7 +4,7 @@ with it; tests and benchmarks compare `simulator.pulses`, which makes them, with
 One lane a pulse, every output slot written once: the same bytes on any threads.
 
 In: beams (origin, axis, timing shift). Out: noise-free waveforms in digitiser steps above the baseline, where each packet
-starts, and what the beam's axis hit. Noise, quantising and detection belong to the device (simulator.device).
+starts, and what the beam's axis hit. Noise, quantising and detection belong to the device (simulator.lidar.device).
 """
 
 from collections.abc import Callable
@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from simulator.footprint import Optics
-from simulator.radar_equation import SPEED_OF_LIGHT_M_S
+from simulator.lidar.footprint import Optics
+from simulator.lidar.radar_equation import SPEED_OF_LIGHT_M_S
 from simulator.render.scene import RenderScene
 from simulator.render.upload import uploaded
 

@@ -15,12 +15,12 @@ from scenes.build import site_terrain
 from scenes.frustums import VERTEX_PER_EDGE, _sheet_shift_m, plate_edge_m, top_m
 from scenes.model import Target
 from scenes.spectra import reflectance_at
-from simulator import rig
-from simulator.device import detector_from, digitiser_from, dn_per_w
-from simulator.georeference import MapPatch, beams_world
-from simulator.motion import Motion, Strip
-from simulator.radar_equation import echo_fwhm_ns, extinction_per_km, peak_power_w
-from simulator.scanner import TurningScanner, scanner_from
+from simulator.flight import rig
+from simulator.flight.georeference import MapPatch, beams_world
+from simulator.flight.motion import Motion, Strip
+from simulator.lidar.device import detector_from, digitiser_from, dn_per_w
+from simulator.lidar.radar_equation import echo_fwhm_ns, extinction_per_km, peak_power_w
+from simulator.lidar.scanner import TurningScanner, scanner_from
 from testrange.plan.rehearsal import Rehearsal
 
 SLOPE = np.sqrt(2.0)  # rise over run of a frustum's sheets

@@ -12,7 +12,7 @@ from evaluator.model import CampaignData
 from evaluator.results_model import not_measured
 from scenes.chessboard import board_of
 from simulator.bench.placements import bench_focus_m, bench_lens, coverage, plan_placements
-from simulator.ranging import Line
+from simulator.lidar.ranging import Line
 
 LEAST_SCANS, SHORT_S = 5, 60.0  # 9.1.2 f, b
 

@@ -25,9 +25,9 @@ from evaluator.mounting.helping_strip import predicted_covariance, weak_paramete
 from evaluator.mounting.mounting_model import System
 from evaluator.mounting.panel_planes import observe_planes
 from evaluator.observe.panels import LidarPanelObservation, lidar_panel_observations
-from simulator.flight import design_lines, speeds_m_s
-from simulator.radar_equation import unambiguous_range_m
-from simulator.scanner import scanner_from
+from simulator.flight.plan import design_lines, speeds_m_s
+from simulator.lidar.radar_equation import unambiguous_range_m
+from simulator.lidar.scanner import scanner_from
 from simulator.times import BEIJING, gps_time_from_iso
 from testrange.plan import light as camera_side
 from testrange.plan.beams import Passes, cast_passes

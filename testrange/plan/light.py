@@ -11,8 +11,8 @@ from evaluator.mounting.geometry import certified_lens, mark_view
 from evaluator.observe.frustums import frustum_model
 from scenes.model import Material, SunSky
 from scenes.sunsky import band_irradiance, sun_sky
-from simulator import sensor
-from simulator.flight import Sortie
+from simulator.camera import sensor
+from simulator.flight.plan import Sortie
 from simulator.times import utc_from_gps_time
 from testrange.plan.model import PanelLight
 from testrange.plan.rehearsal import Rehearsal

@@ -4,9 +4,9 @@ import numpy as np
 
 from campaign.config import Config
 from campaign.errors import ConfigError
-from simulator.flight import speeds_m_s
-from simulator.radar_equation import unambiguous_range_m
-from simulator.scanner import scanner_from
+from simulator.flight.plan import speeds_m_s
+from simulator.lidar.radar_equation import unambiguous_range_m
+from simulator.lidar.scanner import scanner_from
 from testrange.plan.beams import Passes, amplitude_limits_dn
 from testrange.plan.light import blur_px
 from testrange.plan.model import AMBIGUITY, PHYSICS, PanelLight, PlanRow, PlanStatus

@@ -20,15 +20,17 @@ from scenes.chessboard import board_of
 from scenes.model import Scene
 from scenes.ranging_line import build_line
 from scenes.sunsky import sun_sky
-from simulator import paperwork, rig, sensor
+from simulator import paperwork
 from simulator.bench.placements import bench_f_number, bench_focus_m, plan_placements
+from simulator.camera import sensor
 from simulator.faults import require_targets, with_true_lens
-from simulator.flight import SETTLE_S, Sortie, fly
-from simulator.frames import SiteFrame
-from simulator.motion import Motion
-from simulator.navigation import estimate_motion, trajectory_of
+from simulator.flight import rig
+from simulator.flight.frames import SiteFrame
+from simulator.flight.motion import Motion
+from simulator.flight.navigation import estimate_motion, trajectory_of
+from simulator.flight.plan import SETTLE_S, Sortie, fly
+from simulator.lidar.ranging import SCENE_KEY, Line, survey_line
 from simulator.randomness import Stream, generator
-from simulator.ranging import SCENE_KEY, Line, survey_line
 from simulator.times import BEIJING, gps_time_from_iso, gps_week, utc_from_gps_time
 
 # As in simulator.simulate, which cannot be imported without the renderer; a test compares them.

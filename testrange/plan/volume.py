@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from simulator import rig
-from simulator.georeference import beams_world
-from simulator.scanner import scanner_from
+from simulator.flight import rig
+from simulator.flight.georeference import beams_world
+from simulator.lidar.scanner import scanner_from
 from testrange.plan.beams import Passes
 from testrange.plan.model import Volume
 from testrange.plan.rehearsal import Rehearsal

@@ -17,11 +17,12 @@ from evaluator.boards.board_observations import BoardObservation
 from evaluator.boards.mounting_by_boards import BoardMounting
 from evaluator.load import load_campaign
 from evaluator.model import CampaignData
-from simulator import paperwork, rig
-from simulator.camera import frame_pose, project
-from simulator.frames import ENU_FROM_NED
-from simulator.motion import Strip
-from simulator.navigation import estimate_motion, navigation_std, trajectory_of
+from simulator import paperwork
+from simulator.camera.view import frame_pose, project
+from simulator.flight import rig
+from simulator.flight.frames import ENU_FROM_NED
+from simulator.flight.motion import Strip
+from simulator.flight.navigation import estimate_motion, navigation_std, trajectory_of
 from simulator.simulate import prepare_range, simulate_campaign
 from simulator.world import Range
 

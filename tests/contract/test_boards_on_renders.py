@@ -17,10 +17,10 @@ from scenes.model import Layout, Material, Mesh, Scene, SunSky, Target
 from scenes.shapes import placed
 from scenes.spectra import material
 from scenes.sunsky import sun_sky
-from simulator.camera import FramePose, project, target_regions
+from simulator.camera.sensor import expose, exposure_gain, fixed_pattern
+from simulator.camera.view import FramePose, project, target_regions
 from simulator.render.radiance import render_frame
 from simulator.render.scene import RenderScene, load_scene
-from simulator.sensor import expose, exposure_gain, fixed_pattern
 
 FOCAL_PX, DISTANCE_M = 3000.0, 50.0
 CAMERA = Camera(

@@ -9,10 +9,10 @@ from campaign.manifest import Manifest
 from evaluator.frames import WorldFrame, body_pose, euler_angles, euler_rotation
 from evaluator.georeference import nominal_mountings
 from scenes.model import Layout
-from simulator import rig
-from simulator.flight import fly
-from simulator.frames import SiteFrame, rotation_from_rpy, rpy_from_rotation
-from simulator.navigation import trajectory_of
+from simulator.flight import rig
+from simulator.flight.frames import SiteFrame, rotation_from_rpy, rpy_from_rotation
+from simulator.flight.navigation import trajectory_of
+from simulator.flight.plan import fly
 
 
 def _manifest(site: Site) -> Manifest:

@@ -22,10 +22,10 @@ from scenes.model import Layout, Mesh, Scene, SunSky, Target
 from scenes.shapes import placed
 from scenes.spectra import material
 from scenes.sunsky import sun_sky
-from simulator.camera import FramePose, project, target_regions
+from simulator.camera.sensor import expose, exposure_gain, fixed_pattern
+from simulator.camera.view import FramePose, project, target_regions
 from simulator.render.radiance import render_frame
 from simulator.render.scene import RenderScene, load_scene
-from simulator.sensor import expose, exposure_gain, fixed_pattern
 
 FRUSTUMS = Frustums()
 FOCAL_PX = 3000.0

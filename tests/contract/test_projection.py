@@ -23,12 +23,12 @@ from evaluator.frames import WorldFrame
 from evaluator.model import Mounting
 from evaluator.mounting.geometry import observe_marks
 from scenes.model import Layout
-from simulator import rig
-from simulator.camera import FramePose, frame_pose, project
-from simulator.flight import fly
-from simulator.frames import SiteFrame
-from simulator.motion import Motion
-from simulator.navigation import trajectory_of
+from simulator.camera.view import FramePose, frame_pose, project
+from simulator.flight import rig
+from simulator.flight.frames import SiteFrame
+from simulator.flight.motion import Motion
+from simulator.flight.navigation import trajectory_of
+from simulator.flight.plan import fly
 from simulator.times import gps_week
 
 LAYOUT = Layout(camera_half_m=(23.0, 15.4), lidar_half_m=31.0, cone_half_m=45.0, field_half_m=(13.0, 12.0))

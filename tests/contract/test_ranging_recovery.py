@@ -15,7 +15,7 @@ from campaign.manifest import Manifest, write_manifest
 from evaluator.benches.bench_model import RangingResult
 from evaluator.c9_1_lidar_ranging import evaluate_ranging
 from evaluator.load import load_campaign
-from simulator.ranging import prepare_line, simulate_ranging, true_ranging
+from simulator.lidar.ranging import prepare_line, simulate_ranging, true_ranging
 
 QUICKSTART = Path(__file__).parents[2] / "configs" / "campaigns" / "quickstart.toml"
 K2_M, R2 = 0.05, 2e-4

@@ -12,11 +12,11 @@ from campaign.truth import read_marks
 from evaluator import evaluate
 from evaluator.georeference import collect_target_returns, nominal_mountings
 from evaluator.mounting.geometry import GeometryResult, observe_marks, search_radius_px, solve_geometry
-from simulator import camera as camera_maths
-from simulator import rig
-from simulator.frames import rotation_from_rpy
-from simulator.motion import Motion, SensorMounting
-from simulator.navigation import navigation_std
+from simulator.camera import view as camera_maths
+from simulator.flight import rig
+from simulator.flight.frames import rotation_from_rpy
+from simulator.flight.motion import Motion, SensorMounting
+from simulator.flight.navigation import navigation_std
 from simulator.simulate import prepare_range, simulate_campaign
 
 DRAWS = 30

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from campaign.load import load_config
-from simulator.device import Device, digitiser_from
-from simulator.lidar import optics_from
+from simulator.lidar.device import Device, digitiser_from
+from simulator.lidar.strip import optics_from
 
 FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
 CONFIG = load_config("quickstart")
@@ -29,7 +29,7 @@ class Pairs:
 
 def pairs(count: int, rng: np.random.Generator) -> Pairs:
     """As a canopy's or an edge's two surfaces give them: 2 to 4 FWHM apart (1.3 to 2.6 m), the first 150 to 1500 DN high, the
-    second 0.2 to 2 times that, each up to 15 % wider than a flat target's echo; digitised as `simulator.device` does."""
+    second 0.2 to 2 times that, each up to 15 % wider than a flat target's echo; digitised as `simulator.lidar.device` does."""
     fwhm = ECHO_FWHM_NS * rng.uniform(1.0, 1.15, (count, 2))
     first = rng.uniform(12.0, 16.0, count)
     centre = np.stack([first, first + ECHO_FWHM_NS * rng.uniform(2.0, 4.0, count)], axis=1)

@@ -5,7 +5,7 @@ import pytest
 
 from campaign.config import Band, Camera, Lens
 from scenes.model import Layout, Material, Mesh, Scene, Target
-from simulator.camera import (
+from simulator.camera.view import (
     FramePose,
     distort,
     distorted_from_pixel,
@@ -15,8 +15,8 @@ from simulator.camera import (
     target_regions,
     undistort,
 )
-from simulator.frames import FRD_FROM_RDF_NADIR
-from simulator.motion import Motion, SensorMounting
+from simulator.flight.frames import FRD_FROM_RDF_NADIR
+from simulator.flight.motion import Motion, SensorMounting
 
 BAND = Band(name="green", centre_nm=550.0, fwhm_nm=70.0)
 # The calibration of a real full-frame mapping camera (its maker's report).

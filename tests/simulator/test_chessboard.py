@@ -16,7 +16,7 @@ from campaign.pictures import read_picture
 from scenes.chessboard import board_of, is_black
 from simulator.bench.chessboard import simulate_chessboard
 from simulator.bench.placements import Placement, bench_lens, plan_placements, project_board
-from simulator.sensor import full_scale_dn
+from simulator.camera.sensor import full_scale_dn
 
 TINY = Path(__file__).parents[1] / "data" / "tiny.toml"
 P1 = (

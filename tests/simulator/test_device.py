@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from campaign.config import Lidar
-from simulator.device import Device, detector_from, normals, pulse_normals
-from simulator.radar_equation import FWHM_PER_SIGMA, echo_fwhm_ns
+from simulator.lidar.device import Device, detector_from, normals, pulse_normals
+from simulator.lidar.radar_equation import FWHM_PER_SIGMA, echo_fwhm_ns
 
 LIDAR = Lidar()
 FWHM = echo_fwhm_ns(LIDAR.pulse_fwhm_ns, LIDAR.receiver_fwhm_ns) / LIDAR.sampling_ns

@@ -12,12 +12,12 @@ from campaign.load import load_config
 from campaign.truth import read_truth
 from scenes.build import build_scene
 from scenes.model import Scene
-from simulator import rig
 from simulator.bench.placements import bench_lens
-from simulator.camera import frame_pose, project
+from simulator.camera.view import frame_pose, project
 from simulator.faults import require_targets, true_lens, with_true_lens
-from simulator.flight import fly
-from simulator.frames import SiteFrame
+from simulator.flight import rig
+from simulator.flight.frames import SiteFrame
+from simulator.flight.plan import fly
 from simulator.paperwork import surveyed_targets
 from simulator.simulate import simulate_campaign
 

@@ -9,8 +9,8 @@ from campaign.config import Config
 from campaign.errors import ConfigError
 from campaign.load import load_config
 from scenes.model import Layout
-from simulator.flight import exposure_offsets_m, fly, speeds_m_s
-from simulator.motion import Motion
+from simulator.flight.motion import Motion
+from simulator.flight.plan import exposure_offsets_m, fly, speeds_m_s
 
 LAYOUT = Layout(camera_half_m=(23.0, 15.4), lidar_half_m=31.0, cone_half_m=45.0, field_half_m=(13.0, 12.0))
 

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from campaign.config import Site
 from campaign.errors import ConfigError
-from simulator.footprint import gaussian_footprint
-from simulator.frames import SiteFrame
-from simulator.georeference import MapPatch, beams_world
-from simulator.motion import Motion, SensorMounting
-from simulator.radar_equation import extinction_per_km, unambiguous_range_m
+from simulator.flight.frames import SiteFrame
+from simulator.flight.georeference import MapPatch, beams_world
+from simulator.flight.motion import Motion, SensorMounting
+from simulator.lidar.footprint import gaussian_footprint
+from simulator.lidar.radar_equation import extinction_per_km, unambiguous_range_m
 
 
 @pytest.mark.parametrize("latitude", [-35.0, 0.0, 31.3, 60.0])
@@ -73,7 +73,7 @@ def test_patterns_that_cannot_be_round_are_refused(subrays: int) -> None:
 def test_import_compiles_and_renders_nothing() -> None:
     """Rationale: start-up time. Expected: importing the module loads neither Mitsuba nor a compiled specialisation."""
     code = (
-        "import sys, simulator.lidar, simulator.device, simulator.georeference as g\n"
+        "import sys, simulator.lidar.strip, simulator.lidar.device, simulator.flight.georeference as g\n"
         "from simulator.pulses import cone, detection, fan, sampling, surface\n"
         "assert 'mitsuba' not in sys.modules and 'drjit' not in sys.modules\n"
         "compiled = detection.detect, g._cubic, g._beams, cone.see_mixed, surface.see_surfaces, fan.touch, sampling.sample\n"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from simulator.navigation import gauss_markov
+from simulator.flight.navigation import gauss_markov
 
 
 def test_gauss_markov_is_stationary_with_the_stated_correlation() -> None:

@@ -11,7 +11,14 @@ from campaign.folder import CampaignFolder
 from campaign.load import load_config
 from campaign.ranging import line_path, read_line, read_readings, readings_path, scan_path, scan_paths
 from campaign.scans import ScanPoints, read_scan
-from simulator.ranging import air_index, prepare_line, simulate_ranging, slope_reading_m, survey_line, true_ranging
+from simulator.lidar.ranging import (
+    air_index,
+    prepare_line,
+    simulate_ranging,
+    slope_reading_m,
+    survey_line,
+    true_ranging,
+)
 
 QUICKSTART = Path(__file__).parents[2] / "configs" / "campaigns" / "quickstart.toml"
 START_S = 450_000_000.0

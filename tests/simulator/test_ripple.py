@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from campaign.config import Faults
-from simulator.ripple import ripple_px, rippled, rippled_rows
+from simulator.camera.ripple import ripple_px, rippled, rippled_rows
 
 FAULTS = Faults(image_ripple_px=2.0, image_ripple_period_px=120.0)
 

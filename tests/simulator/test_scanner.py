@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from campaign.config import Lidar, Scanner
 from campaign.errors import ConfigError
-from simulator.scanner import scanner_from
+from simulator.lidar.scanner import scanner_from
 
 
 def lidar(prr_hz: float = 300_000.0, **scanner: object) -> Lidar:

@@ -8,7 +8,7 @@ import pytest
 from campaign.config import Band, Camera, Environment, Lens, Site
 from scenes.model import SunSky
 from scenes.sunsky import band_irradiance, sun_sky
-from simulator.sensor import (
+from simulator.camera.sensor import (
     ROWS_AT_ONCE,
     FixedPattern,
     Window,
@@ -171,7 +171,7 @@ def test_preview_is_srgb_of_the_linear_signal() -> None:
     Expected: black level 0; a band at its white balance x 21.4 % of full scale gives sRGB 50 %: 0.21404 -> 0.5000; neutral.
     Tolerance: one step of 255.
     """
-    from simulator.sensor import white_balance
+    from simulator.camera.sensor import white_balance
 
     cam = camera()
     dn = np.full((2, 2, 3), 256, np.uint16)

@@ -11,7 +11,6 @@ from campaign.errors import ConfigError
 from campaign.folder import CampaignFolder
 from campaign.images import read_image, read_preview, read_tags
 from scenes.sphere import SphereScene, black_body_share_per_nm, build_sphere, lamp_flux_per_nm
-from simulator import sensor
 from simulator.bench.sphere import (
     SphereLight,
     bench_exposure,
@@ -22,6 +21,7 @@ from simulator.bench.sphere import (
     sphere_light,
     sphere_picture,
 )
+from simulator.camera import sensor
 from simulator.randomness import Stream, generator
 from simulator.render.sphere import wall_points
 

@@ -18,7 +18,7 @@ from evaluator.load import load_campaign
 from evaluator.model import Mounting
 from evaluator.mounting.geometry import observe_vertices
 from evaluator.observe.panels import lidar_panel_observations
-from simulator import rig
+from simulator.flight import rig
 from testrange.plan import Plan, plan_block, plan_campaign, print_plan
 from testrange.plan import light as camera_side
 

@@ -7,7 +7,7 @@ import pytest
 
 from campaign.config import Band, Camera, Environment, Lens, Site
 from scenes.sunsky import sun_sky
-from simulator.sensor import expose, exposure_gain, fixed_pattern, sensor_noise_std_dn
+from simulator.camera.sensor import expose, exposure_gain, fixed_pattern, sensor_noise_std_dn
 
 CAMERA = Camera(
     width_px=256,

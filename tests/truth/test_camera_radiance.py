@@ -9,7 +9,7 @@ import pytest
 from campaign.config import Band, Camera, Environment, Lens, Render, Site
 from scenes.model import Layout, Material, Mesh, Scene, SunSky, Target
 from scenes.sunsky import band_irradiance, sky_normalisation, sky_radiance_relative, sun_sky
-from simulator.camera import FramePose, project, target_regions
+from simulator.camera.view import FramePose, project, target_regions
 from simulator.render import ambient, radiance
 from simulator.render.scene import RenderScene, load_scene
 
@@ -336,7 +336,7 @@ def test_render_noise_against_the_sensor(frustum_range: tuple[RenderScene, Camer
     away from edges and at most one and a half at them.
     Tolerance: the limits themselves.
     """
-    from simulator.sensor import exposure_gain, sensor_noise_std_dn
+    from simulator.camera.sensor import exposure_gain, sensor_noise_std_dn
 
     scene, cam, view = frustum_range
     region = target_regions(cam, view, scene.scene)

@@ -15,12 +15,12 @@ from campaign.load import load_config
 from scenes.chessboard import LAMP_CAMERA_M, Board, board_of, board_scene
 from simulator.bench.chessboard import board_view
 from simulator.bench.placements import Placement, bench_f_number, bench_lens, plan_placements
+from simulator.camera.sensor import Exposing, full_scale_dn, sensor_noise_std_dn
 from simulator.render import board as renderer
 from simulator.render import start
 from simulator.render.board import BoardView, render_board
 from simulator.render.sampling import frame_words
 from simulator.render.scene import RenderScene, load_scene
-from simulator.sensor import Exposing, full_scale_dn, sensor_noise_std_dn
 
 STREAM = 15
 # a window of the quickstart's camera: the same lens and pixels

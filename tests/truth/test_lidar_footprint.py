@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from scenes.model import Layout, Material, Mesh, Scene
-from simulator.footprint import Optics, gaussian_footprint
+from simulator.lidar.footprint import Optics, gaussian_footprint
+from simulator.lidar.radar_equation import SPEED_OF_LIGHT_M_S
 from simulator.pulses.caster import Caster, Seen
-from simulator.radar_equation import SPEED_OF_LIGHT_M_S
 from simulator.render.scene import load_scene
 from simulator.render.waveforms import Beams, Echoes, Tracer
 

@@ -19,10 +19,10 @@ from campaign.errors import ConfigError
 from campaign.las import Returns
 from campaign.truth import TrueReturns
 from scenes.model import Layout, Material, Mesh, Scene, Target
-from simulator.frames import SiteFrame, rotation_from_rpy
-from simulator.lidar import HALF_C_M_PS, StripChunk, simulate_strip
-from simulator.motion import Motion, SensorMounting, Strip
-from simulator.radar_equation import received_power_w
+from simulator.flight.frames import SiteFrame, rotation_from_rpy
+from simulator.flight.motion import Motion, SensorMounting, Strip
+from simulator.lidar.radar_equation import received_power_w
+from simulator.lidar.strip import HALF_C_M_PS, StripChunk, simulate_strip
 from simulator.render import start
 from simulator.render.scene import load_scene
 

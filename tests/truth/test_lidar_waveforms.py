@@ -8,16 +8,16 @@ import pytest
 
 from campaign.config import Lidar
 from scenes.model import Layout, Material, Mesh, Scene
-from simulator.device import dn_per_w
-from simulator.footprint import gaussian_footprint
-from simulator.lidar import optics_from
-from simulator.radar_equation import (
+from simulator.lidar.device import dn_per_w
+from simulator.lidar.footprint import gaussian_footprint
+from simulator.lidar.radar_equation import (
     SPEED_OF_LIGHT_M_S,
     extinction_per_km,
     peak_power_w,
     received_power_w,
     two_way_transmission,
 )
+from simulator.lidar.strip import optics_from
 from simulator.render.scene import load_scene
 from simulator.render.waveforms import NO_HIT, Beams, Echoes, Tracer
 

@@ -16,10 +16,10 @@ from scenes.frustums import PART_INNER, PART_MARK, PART_OUTER, PART_PLATE
 from scenes.model import Scene
 from scenes.panels import PART_TOP
 from scenes.sunsky import sun_sky
-from simulator import rig
-from simulator.camera import FramePose, frame_pose, project, target_regions
+from simulator.camera.sensor import exposure_gain, sensor_noise_std_dn, vignetting
+from simulator.camera.view import FramePose, frame_pose, project, target_regions
+from simulator.flight import rig
 from simulator.render.radiance import render_frame
-from simulator.sensor import exposure_gain, sensor_noise_std_dn, vignetting
 from simulator.simulate import prepare_range
 from simulator.times import utc_from_gps_time
 

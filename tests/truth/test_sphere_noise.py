@@ -14,8 +14,9 @@ from campaign.sensors import write_sheet
 from evaluator.benches.bench_model import SphereResult
 from evaluator.c8_2_camera_radiometry import evaluate_sphere, repeatability, stability_rsd
 from evaluator.load import load_campaign
-from simulator import rig, sensor
 from simulator.bench.sphere import SphereLight, bench_exposure, lamp_output, simulate_sphere, sphere_picture
+from simulator.camera import sensor
+from simulator.flight import rig
 from simulator.randomness import Stream, generator
 
 BANDS = (

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 from campaign.config import Config, Lens
 from scenes.build import build_scene
 from scenes.chessboard import board_of
-from simulator import rig
 from simulator.bench.placements import Placement, bench_lens, plan_placements, project_board
-from simulator.camera import frame_pose, project, undistort
+from simulator.camera.ripple import ripple_px
+from simulator.camera.view import frame_pose, project, undistort
 from simulator.faults import with_true_lens
-from simulator.flight import fly
-from simulator.ripple import ripple_px
+from simulator.flight import rig
+from simulator.flight.plan import fly
 
 _LENS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
 _LENS_STEP = np.array([1e-2, 1e-2, 1e-2, 1e-2, 1e-5, 1e-5, 1e-5, 1e-6, 1e-6])

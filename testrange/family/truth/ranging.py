@@ -8,8 +8,8 @@ import numpy as np
 from scipy.linalg import lstsq
 
 from campaign.config import Config
-from simulator.lidar import measured_range_m
-from simulator.ranging import prepare_line
+from simulator.lidar.ranging import prepare_line
+from simulator.lidar.strip import measured_range_m
 
 Table = tuple[tuple[float, float], ...]
 _FLAT_M = 0.15  # half length of the table's step about a panel

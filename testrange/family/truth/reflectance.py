@@ -15,11 +15,12 @@ from campaign.config import Config
 from scenes.build import build_scene
 from scenes.model import Scene, Target
 from scenes.spectra import band_reflectance, reflectance_at
-from simulator import paperwork, rig
+from simulator import paperwork
 from simulator.faults import with_panel_gains
-from simulator.flight import Sortie, fly
-from simulator.motion import Strip
-from simulator.radar_equation import extinction_per_km
+from simulator.flight import rig
+from simulator.flight.motion import Strip
+from simulator.flight.plan import Sortie, fly
+from simulator.lidar.radar_equation import extinction_per_km
 
 _GRID = 5  # points across a panel
 _INSIDE = 0.7  # of its size

@@ -18,15 +18,17 @@ from campaign import truth as truth_files
 from campaign.config import Config
 from campaign.folder import CampaignFolder
 from campaign.progress import Report
-from simulator import camera as camera_maths
-from simulator import record_truth, rig, sensor
-from simulator.frames import rpy_from_rotation
+from simulator import record_truth
+from simulator.camera import sensor
+from simulator.camera import view as camera_maths
+from simulator.camera.ripple import rippled_rows
+from simulator.flight import rig
+from simulator.flight.frames import rpy_from_rotation
+from simulator.flight.motion import Motion, Strip
 from simulator.journal import Journal
 from simulator.kept import kept_blocks
-from simulator.motion import Motion, Strip
 from simulator.randomness import Stream, generator
 from simulator.render.radiance import band_rows, render_bands
-from simulator.ripple import rippled_rows
 from simulator.world import Range, light_at
 
 WAITING_BANDS = 8  # rendered bands that may wait for noise and file: bounds the memory
@@ -157,7 +159,9 @@ def _develop(frame: _Frame, first: int, radiance: np.ndarray) -> None:
     camera = frame.config.camera
     window = sensor.Window(column=0, row=first, width_px=camera.width_px, height_px=len(radiance))
     gain = frame.config.faults.camera_gain
-    frame.dn[window.cut] = sensor.expose(radiance, camera, frame.exposing, gain, frame.noise, frame.fixed_pattern, window)
+    frame.dn[window.cut] = sensor.expose(
+        radiance, camera, frame.exposing, gain, frame.noise, frame.fixed_pattern, window
+    )
 
 
 def _write(frame: _Frame, unit: str, journal: Journal) -> None:

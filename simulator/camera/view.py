@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from campaign.config import Camera, Lens
 from scenes.model import Scene
-from simulator.motion import Motion, SensorMounting
+from simulator.flight.motion import Motion, SensorMounting
 
 SUPPORT = 10  # scenes.model.Mesh.part of supports and stands: they need no samples of a target's quality
 TARGET_MARGIN_PX = 6.0  # round a target's box: point spread, motion blur, and the ground that edges are fitted against

@@ -2,8 +2,8 @@
 
 Streams in chunks of fixed size, several at once, each on a thread of its own. Two motions meet here: the true one steers the
 beams, the estimated one at the stamped time with the nominal mounting places the returns, as post-processing does on real data.
-Formulas of the received power are in `simulator.radar_equation`, what a beam sees in `simulator.pulses`, echo detection in
-`simulator.device`.
+Formulas of the received power are in `simulator.lidar.radar_equation`, what a beam sees in `simulator.pulses`, echo detection in
+`simulator.lidar.device`.
 """
 
 import itertools
@@ -22,14 +22,12 @@ from campaign.threads import thread_count
 from campaign.truth import TrueReturns
 from scenes.model import Scene
 from scenes.spectra import reflectance_at
-from simulator.device import Device, dn_per_w, pulse_normals
-from simulator.footprint import Optics, gaussian_footprint
-from simulator.frames import SiteFrame
-from simulator.georeference import MapPatch, Track
-from simulator.motion import Motion, SensorMounting, Strip
-from simulator.pulses.caster import Caster
-from simulator.pulses.rows import attributes, finish, inside, place, select
-from simulator.radar_equation import (
+from simulator.flight.frames import SiteFrame
+from simulator.flight.georeference import MapPatch, Track
+from simulator.flight.motion import Motion, SensorMounting, Strip
+from simulator.lidar.device import Device, dn_per_w, pulse_normals
+from simulator.lidar.footprint import Optics, gaussian_footprint
+from simulator.lidar.radar_equation import (
     FWHM_PER_SIGMA,
     SPEED_OF_LIGHT_M_S,
     echo_fwhm_ns,
@@ -37,8 +35,10 @@ from simulator.radar_equation import (
     peak_power_w,
     unambiguous_range_m,
 )
+from simulator.lidar.scanner import scanner_from
+from simulator.pulses.caster import Caster
+from simulator.pulses.rows import attributes, finish, inside, place, select
 from simulator.randomness import Stream, key
-from simulator.scanner import scanner_from
 
 if TYPE_CHECKING:
     from simulator.render.scene import RenderScene

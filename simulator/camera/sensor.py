@@ -202,7 +202,7 @@ def fixed_pattern(rng: np.random.Generator) -> FixedPattern:
 
 def deviates(key: np.uint64, camera: Camera, window: Window) -> np.ndarray:
     """Standard normal numbers (h, w, bands) of a pattern's pixels in a window."""
-    from simulator.pixels import pattern
+    from simulator.camera.pixels import pattern
 
     out = np.empty((window.height_px, window.width_px, len(camera.bands)), np.float32)
     pattern(key, window.row, window.column, camera.width_px, out)
@@ -260,9 +260,9 @@ def expose(
     (h, w, bands) uint16 ndarray
         DN, black level included.
     """
+    from simulator.camera.pixels import expected, steps
+    from simulator.camera.pixels import pattern as pattern_of
     from simulator.normals import normal_stream
-    from simulator.pixels import expected, steps
-    from simulator.pixels import pattern as pattern_of
 
     part = middle_window(camera, None) if window is None else window
     dn = np.empty(radiance.shape, np.uint16)

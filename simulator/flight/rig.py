@@ -5,9 +5,9 @@ import numpy as np
 from campaign.config import Camera, Config, Faults, Lens, Lidar, Mounting, Vector3
 from campaign.sensors import Calibration, CameraSheet, LidarSheet, MountingSheet, NavigationSheet, Rig
 from campaign.truth import TrueMounting
-from simulator.frames import FRD_FROM_RDF_NADIR, rotation_from_rpy
-from simulator.motion import SensorMounting
-from simulator.navigation import navigation_std
+from simulator.flight.frames import FRD_FROM_RDF_NADIR, rotation_from_rpy
+from simulator.flight.motion import SensorMounting
+from simulator.flight.navigation import navigation_std
 from simulator.randomness import Stream, generator
 
 LENS_PARAMETERS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")

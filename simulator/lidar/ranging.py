@@ -1,6 +1,6 @@
 """The ranging line of 9.1.2, observed: the LiDAR on a turntable, two total stations, and what is written of them.
 
-The LiDAR's beams, waveforms, detector, noise and faults are those of the flight (`simulator.lidar.observe`); the turntable only
+The LiDAR's beams, waveforms, detector, noise and faults are those of the flight (`strip.observe`); the turntable only
 takes the aircraft's place. The scene stands in `scenes.ranging_line`.
 """
 
@@ -31,12 +31,12 @@ from campaign.threads import one_blas_thread
 from campaign.truth import TrueRanging
 from scenes.model import Scene
 from scenes.ranging_line import RangingScene, build_line, turned
+from simulator.flight.motion import Motion, SensorMounting, Strip
 from simulator.journal import Journal
-from simulator.lidar import backscatter, observe, optics_from
-from simulator.motion import Motion, SensorMounting, Strip
-from simulator.radar_equation import unambiguous_range_m
+from simulator.lidar.radar_equation import unambiguous_range_m
+from simulator.lidar.scanner import scanner_from
+from simulator.lidar.strip import backscatter, observe, optics_from
 from simulator.randomness import Stream, generator
-from simulator.scanner import scanner_from
 from simulator.times import BEIJING, utc_from_gps_time
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The passes over a sensor's pixels that `simulator.sensor` takes, compiled: its pattern, electrons expected, electrons to steps.
+"""The passes over a sensor's pixels that `simulator.camera.sensor` takes, compiled.
 
 In float32 throughout, one operation after the other, so that the bytes are those of the same lines in NumPy.
 """

@@ -1,6 +1,6 @@
 """From a sensor's own measurement to map coordinates, for millions of pulses: poses applied to vectors, and a fast exact map.
 
-Frames and rotations are defined in `simulator.frames`; here they are only arranged for speed. No matrix product goes through
+Frames and rotations are defined in `simulator.flight.frames`; here they are only arranged for speed. No matrix product goes through
 BLAS, whose rounding depends on its threads.
 """
 
@@ -9,8 +9,8 @@ import math
 import numba
 import numpy as np
 
-from simulator.frames import SiteFrame
-from simulator.motion import Motion, SensorMounting
+from simulator.flight.frames import SiteFrame
+from simulator.flight.motion import Motion, SensorMounting
 
 _HALF_M = np.array([2000.0, 2000.0, 700.0])  # the world box in which MapPatch holds
 _CENTRE_M = np.array([0.0, 0.0, 500.0])

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulator.frames import ENU_FROM_NED, rotation_from_rpy
+from simulator.flight.frames import ENU_FROM_NED, rotation_from_rpy
 
 
 @dataclass(frozen=True, kw_only=True)

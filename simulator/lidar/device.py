@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from campaign.config import Lidar
-from simulator.footprint import Optics
+from simulator.lidar.footprint import Optics
+from simulator.lidar.radar_equation import FWHM_PER_SIGMA, SPEED_OF_LIGHT_M_S, echo_fwhm_ns
 from simulator.normals import normal_stream
 from simulator.pulses.caster import Seen
 from simulator.pulses.detection import detect, tables
 from simulator.pulses.sampling import PULSE_DEVIATES, digitise, pulse_deviates, sample
-from simulator.radar_equation import FWHM_PER_SIGMA, SPEED_OF_LIGHT_M_S, echo_fwhm_ns
 
 
 @dataclass(frozen=True, kw_only=True)

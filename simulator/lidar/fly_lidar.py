@@ -1,4 +1,4 @@
-"""The LiDAR in flight: every strip fired and written, chunk by chunk. What a pulse does is `simulator.lidar`'s."""
+"""The LiDAR in flight: every strip fired and written, chunk by chunk. What a pulse does is `simulator.lidar.strip`'s."""
 
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -10,9 +10,9 @@ from campaign import truth as truth_files
 from campaign.errors import ConfigError
 from campaign.folder import CampaignFolder
 from campaign.progress import Report
-from simulator import rig
+from simulator.flight import rig
 from simulator.journal import Journal
-from simulator.lidar import StripChunk, simulate_strip
+from simulator.lidar.strip import StripChunk, simulate_strip
 from simulator.world import Range
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from campaign.config import Config
 from campaign.errors import ConfigError
 from scenes.model import Layout
-from simulator.motion import Motion, Strip
+from simulator.flight.motion import Motion, Strip
 from simulator.randomness import Stream, generator
 from simulator.times import gps_time_from_iso
 
