@@ -32,13 +32,23 @@ COMMON = (  # a short strip has more chunks of pulses than are in memory at one 
 GB = 1024 / 1e9 if sys.platform != "darwin" else 1e-9  # getrusage counts bytes there, KiB on Linux
 
 
+# A process begins with the memory of the one that starts it, until it loads its own program: a small one starts the command.
+STARTER = """
+import os, subprocess, sys
+process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL)
+_, status, used = os.wait4(process.pid, 0)
+print(os.waitstatus_to_exitcode(status), used.ru_maxrss, used.ru_utime + used.ru_stime)
+"""
+
+
 def measured(*command: str | Path) -> tuple[float, float]:
     """Greatest resident memory [GB] and CPU time [s] of a command; the figures of its children are in them."""
-    process = subprocess.Popen([PROGRAM, *command, "--quiet"], stdout=subprocess.DEVNULL)
-    _, status, used = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)  # it has been waited for
-    assert process.returncode == 0, command
-    return used.ru_maxrss * GB, used.ru_utime + used.ru_stime
+    told = subprocess.run(
+        [sys.executable, "-S", "-c", STARTER, PROGRAM, *command, "--quiet"], capture_output=True, text=True, check=True
+    )
+    code, memory, cpu_s = told.stdout.split()
+    assert code == "0", told.stderr
+    return float(memory) * GB, float(cpu_s)
 
 
 def flight(times: int) -> list[str]:
