@@ -181,7 +181,8 @@ def _code(callable_name: str, file: Path) -> list[str]:
 
 def _without_cache(config: Config) -> dict[str, Any]:
     body: dict[str, Any] = config.model_dump(mode="json", exclude_none=True)
-    body["render"].pop("cache", None)
+    for place in ("cache", "cache_limit_gb"):
+        body["render"].pop(place, None)
     return body
 
 
