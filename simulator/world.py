@@ -12,6 +12,7 @@ from simulator.flight.frames import SiteFrame
 from simulator.flight.motion import Motion
 from simulator.flight.navigation import estimate_motion
 from simulator.flight.plan import Sortie, fly
+from simulator.randomness import scene_seed
 from simulator.render.scene import RenderScene, load_scene
 from simulator.times import utc_from_gps_time
 
@@ -33,7 +34,7 @@ def prepare_range(config: Config) -> Range:
 
     Layout and flight follow the lens that the configuration states: a fault of the true one changes pictures and nothing else.
     """
-    fixed = config.model_copy(update={"seed": config.seed if config.scene_seed is None else config.scene_seed})
+    fixed = config.model_copy(update={"seed": scene_seed(config)})
     scene = build_scene(fixed)
     require_targets(config, tuple(target.id for target in scene.targets))
     scene = with_panel_gains(config, scene)

@@ -27,7 +27,7 @@ from simulator.flight.frames import rpy_from_rotation
 from simulator.flight.motion import Motion, Strip
 from simulator.journal import Journal
 from simulator.kept import kept_blocks
-from simulator.randomness import Stream, generator
+from simulator.randomness import Stream, generator, scene_seed
 from simulator.render.radiance import band_rows, render_bands
 from simulator.world import Range, light_at
 
@@ -122,7 +122,7 @@ def _radiance(
     """Radiance of one frame in bands of rows, rendered or out of the cache, whose key is all that the renderer reads."""
     config, scene = world.config, world.scene
     camera, settings = config.camera, config.render
-    seed = config.seed if config.scene_seed is None else config.scene_seed
+    seed = scene_seed(config)
     light = light_at(world, time)
     key = (strip.sortie, strip.number, index)
     optics = (camera.width_px, camera.height_px, camera.lens, camera.bands, camera.psf_sigma_px)

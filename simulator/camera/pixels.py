@@ -29,8 +29,7 @@ def pattern(key: np.uint64, row: int, column: int, width_px: int, out: np.ndarra
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def expected(
     radiance: np.ndarray,
-    place: tuple[np.ndarray, np.ndarray, float],
-    vignetting: float,
+    light: np.ndarray,
     per_radiance: np.ndarray,
     prnu: np.float32,
     deviate: np.ndarray,
@@ -40,15 +39,13 @@ def expected(
 ) -> int:
     """Mean electrons (rows, w, bands) of every pixel, dark current included, into `mean`; how many are below `few_below`.
 
-    place: squared distances from the axis of rows and columns, and of the farthest corner.
+    light: (rows, w) the lens's fall-off.
     """
-    y, x, corner = place
     few = 0
     for i in range(mean.shape[0]):
         for j in range(mean.shape[1]):
-            light = np.float32(1 - vignetting * (y[i] + x[j]) / corner)
             for b in range(mean.shape[2]):
-                value = radiance[i, j, b] * (light * per_radiance[b])
+                value = radiance[i, j, b] * (light[i, j] * per_radiance[b])
                 value *= np.float32(1) + prnu * deviate[i, j, b]
                 value += dark
                 value = max(value, np.float32(0))

@@ -213,18 +213,12 @@ def vignetting(camera: Camera, window: Window | None = None) -> np.ndarray:
     """Relative illumination (h, w), of a window where there is one: 1 on the axis, 1 - `vignetting` at the sensor's
     farthest corner, quadratic in the radius.
     """
-    row, column, corner = _from_axis(camera, window)
-    return np.asarray(1 - camera.vignetting * (row[:, None] + column) / corner, np.float32)
-
-
-def _from_axis(camera: Camera, window: Window | None) -> tuple[np.ndarray, np.ndarray, float]:
-    """Squared distances from the axis: of the rows (h,), of the columns (w,), of the sensor's farthest corner. [px2]"""
     part = middle_window(camera, None) if window is None else window
-    column = (np.arange(part.column, part.column + part.width_px) + 0.5 - camera.lens.cx_px) ** 2
-    row = (np.arange(part.row, part.row + part.height_px) + 0.5 - camera.lens.cy_px) ** 2
+    x = (np.arange(part.column, part.column + part.width_px) + 0.5 - camera.lens.cx_px) ** 2
+    y = (np.arange(part.row, part.row + part.height_px) + 0.5 - camera.lens.cy_px) ** 2
     corner = max(camera.lens.cx_px, camera.width_px - camera.lens.cx_px) ** 2
     corner += max(camera.lens.cy_px, camera.height_px - camera.lens.cy_px) ** 2
-    return row, column, corner
+    return np.asarray(1 - camera.vignetting * (y[:, None] + x) / corner, np.float32)
 
 
 def expose(
@@ -261,14 +255,13 @@ def expose(
         DN, black level included.
     """
     from simulator.camera.pixels import expected, steps
-    from simulator.camera.pixels import pattern as pattern_of
     from simulator.normals import normal_stream
 
     part = middle_window(camera, None) if window is None else window
     dn = np.empty(radiance.shape, np.uint16)
-    row, column, corner = _from_axis(camera, window)
     per_radiance = exposing.e_per_radiance.astype(np.float32)
     dark = np.float32((camera.dark_current_e_s if dark_e_s is None else dark_e_s) * exposing.exposure_time_s)
+    below, prnu, dsnu_e = np.float32(POISSON_BELOW_E), np.float32(camera.prnu), np.float32(camera.dsnu_e)
     levels = (
         np.float32(camera.read_noise_e**2),
         np.float32(camera.full_well_e),
@@ -276,17 +269,15 @@ def expose(
         np.float32(camera.black_level_dn + 0.5),  # the conversion to integers truncates
         np.float32(2**camera.bit_depth - 1),
     )
-    shape = (ROWS_AT_ONCE, *dn.shape[1:])
-    means, normals, of_place = np.empty((3, *shape), np.float32)
-    below, prnu, dsnu_e = np.float32(POISSON_BELOW_E), np.float32(camera.prnu), np.float32(camera.dsnu_e)
+    means, normals = np.empty((2, ROWS_AT_ONCE, *dn.shape[1:]), np.float32)
     words = np.empty((normals.size + 1) // 2, np.uint64)
     seen = np.broadcast_to(np.asarray(radiance, np.float32), dn.shape)
     for first in range(0, len(dn), ROWS_AT_ONCE):
         rows = slice(first, first + ROWS_AT_ONCE)
-        mean, noise, deviate = (block[: len(dn[rows])] for block in (means, normals, of_place))
-        pattern_of(pattern.prnu, part.row + first, part.column, camera.width_px, deviate)
-        place = (row[rows], column, corner)
-        few = expected(seen[rows], place, camera.vignetting, per_radiance, prnu, deviate, dark, below, mean)
+        mean, noise = means[: len(dn[rows])], normals[: len(dn[rows])]
+        block = replace(part, row=part.row + first, height_px=len(mean))
+        light, of_gain = vignetting(camera, block), deviates(pattern.prnu, camera, block)
+        few = expected(seen[rows], light, per_radiance, prnu, of_gain, dark, below, mean)
         key = rng_frame.integers(1 << 64, dtype=np.uint64)
         normal_stream(key, np.uint64(0), words, words.view(np.int32), noise.reshape(-1))
         if few:
@@ -294,8 +285,7 @@ def expose(
             low = mean[where]
             drawn = rng_frame.poisson(low) + camera.read_noise_e * rng_frame.standard_normal(len(low))
             mean[where], noise[where] = drawn.astype(np.float32), 0
-        pattern_of(pattern.dsnu, part.row + first, part.column, camera.width_px, deviate)
-        steps(mean, noise, dsnu_e, deviate, levels, dn[rows])
+        steps(mean, noise, dsnu_e, deviates(pattern.dsnu, camera, block), levels, dn[rows])
     return dn
 
 

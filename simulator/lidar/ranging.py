@@ -36,7 +36,7 @@ from simulator.journal import Journal
 from simulator.lidar.radar_equation import unambiguous_range_m
 from simulator.lidar.scanner import scanner_from
 from simulator.lidar.strip import backscatter, observe, optics_from
-from simulator.randomness import Stream, generator
+from simulator.randomness import Stream, generator, scene_seed
 from simulator.times import BEIJING, utc_from_gps_time
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def prepare_line(config: Config) -> Line:
     ConfigError
         Panels that do not fit, are too near, lie beyond the unambiguous range, or return too little.
     """
-    seed = config.seed if config.scene_seed is None else config.scene_seed
+    seed = scene_seed(config)
     rng = generator(seed, Stream.RANGING, SCENE_KEY)
     setting = build_line(config, rng)
     station_azimuth, lean_towards, lean, heading = rng.uniform(0.0, 1.0, 4)

@@ -9,6 +9,8 @@ import math
 import numba
 import numpy as np
 
+from simulator.pulses.surface import over
+
 MERGE = 0.06  # echoes closer than this part of the pulse's length are one
 SLICE = 0.8  # a surface's echo is cut where it spreads over more than this part of the pulse's length
 BENT = 0.1  # largest difference of cosines across a crease that few sub-rays resolve
@@ -105,13 +107,6 @@ def _moments(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _over(plane: np.ndarray, t: int, origin: np.ndarray) -> float:
-    """Height of a triangle's plane over the beam's origin, along its normal. [m]"""
-    height: float = plane[t, 3] - plane[t, 0] * origin[0] - plane[t, 1] * origin[1] - plane[t, 2] * origin[2]
-    return height
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fill(
     corner: np.ndarray,
     plane: np.ndarray,
@@ -139,7 +134,7 @@ def _fill(
     who[:] = -1
     for j in range(len(touching)):
         t = touching[j]
-        nx, ny, nz, height = plane[t, 0], plane[t, 1], plane[t, 2], _over(plane, t, origin)
+        nx, ny, nz, height = plane[t, 0], plane[t, 1], plane[t, 2], over(plane, t, origin)
         kappa[j] = abs(height)
         if height == 0.0:
             continue
@@ -185,7 +180,7 @@ def _bent(plane: np.ndarray, rho: np.ndarray, touching: np.ndarray, origin: np.n
     for j in range(len(touching)):
         t = touching[j]
         cosine = plane[t, 0] * axis[0] + plane[t, 1] * axis[1] + plane[t, 2] * axis[2]
-        range_m = _over(plane, t, origin) / cosine
+        range_m = over(plane, t, origin) / cosine
         low_m, high_m = min(low_m, range_m), max(high_m, range_m)
         low, high = min(low, abs(cosine)), max(high, abs(cosine))
         if not range_m > 0.0 or rho[touching[j]] != rho[touching[0]]:

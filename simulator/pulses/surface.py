@@ -16,7 +16,7 @@ OUTSIDE, WHOLE, BROKEN = 3, 4, 5  # how a triangle stands to a cone, beside the 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _over(plane: np.ndarray, t: int, beam: np.ndarray) -> float:
+def over(plane: np.ndarray, t: int, beam: np.ndarray) -> float:
     """Height of a triangle's plane over the beam's origin, along its normal. `beam`: origin, then direction. [m]"""
     height: float = plane[t, 3] - plane[t, 0] * beam[0] - plane[t, 1] * beam[1] - plane[t, 2] * beam[2]
     return height
@@ -25,7 +25,7 @@ def _over(plane: np.ndarray, t: int, beam: np.ndarray) -> float:
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _hidden(corner: np.ndarray, plane: np.ndarray, t: int, cover: int, beam: np.ndarray) -> bool:
     """Whether triangle t lies behind the plane of another that covers the cone."""
-    nx, ny, nz, height = plane[cover, 0], plane[cover, 1], plane[cover, 2], _over(plane, cover, beam)
+    nx, ny, nz, height = plane[cover, 0], plane[cover, 1], plane[cover, 2], over(plane, cover, beam)
     sign = math.copysign(1.0, height)
     for k in range(0, 9, 3):
         x, y, z = corner[t, k] - beam[0], corner[t, k + 1] - beam[1], corner[t, k + 2] - beam[2]
@@ -151,7 +151,7 @@ def _crease(
         square = variance + mean * mean
         nx, ny, nz = plane[t, 0], plane[t, 1], plane[t, 2]
         cosine = nx * dx + ny * dy + nz * dz
-        range_m = _over(plane, t, beam) / cosine
+        range_m = over(plane, t, beam) / cosine
         across = (nx * mx + ny * my + nz * mz) / cosine - sine
         tangent = max(1.0 - cosine * cosine, 0.0) / (cosine * cosine)
         along = max(tangent - across * across, 0.0) * spread * spread
@@ -262,7 +262,7 @@ def see_surfaces(
             if stands[j] == WHOLE:
                 t = touching[j]
                 along = plane[t, 0] * dx + plane[t, 1] * dy + plane[t, 2] * dz
-                here_m = _over(plane, t, beam) / along
+                here_m = over(plane, t, beam) / along
                 if here_m < range_m:
                     cover, range_m, cosine = t, here_m, abs(along)
         tangent = math.sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, 1e-9)

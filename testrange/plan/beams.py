@@ -21,6 +21,7 @@ from simulator.flight.motion import Motion, Strip
 from simulator.lidar.device import detector_from, digitiser_from, dn_per_w
 from simulator.lidar.radar_equation import echo_fwhm_ns, extinction_per_km, peak_power_w
 from simulator.lidar.scanner import TurningScanner, scanner_from
+from simulator.randomness import scene_seed
 from testrange.plan.rehearsal import Rehearsal
 
 SLOPE = np.sqrt(2.0)  # rise over run of a frustum's sheets
@@ -138,7 +139,7 @@ class _Surfaces:
 
     def __init__(self, rehearsal: Rehearsal) -> None:
         config, scene = rehearsal.config, rehearsal.scene
-        seeded = config.model_copy(update={"seed": config.seed if config.scene_seed is None else config.scene_seed})
+        seeded = config.model_copy(update={"seed": scene_seed(config)})
         self._terrain = site_terrain(seeded)
         self._targets = scene.targets
         self._mark = np.array([t.mark_m for t in scene.targets])

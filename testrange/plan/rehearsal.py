@@ -30,7 +30,7 @@ from simulator.flight.motion import Motion
 from simulator.flight.navigation import estimate_motion, trajectory_of
 from simulator.flight.plan import SETTLE_S, Sortie, fly
 from simulator.lidar.ranging import SCENE_KEY, Line, survey_line
-from simulator.randomness import Stream, generator
+from simulator.randomness import Stream, generator, scene_seed
 from simulator.times import BEIJING, gps_time_from_iso, gps_week, utc_from_gps_time
 
 # As in simulator.simulate, which cannot be imported without the renderer; a test compares them.
@@ -78,7 +78,7 @@ def rehearse(config: Config, folder: Path) -> Rehearsal:
     """
     config = with_true_lens(config)
     frame = SiteFrame(config.site)
-    seeded = config.model_copy(update={"seed": config.seed if config.scene_seed is None else config.scene_seed})
+    seeded = config.model_copy(update={"seed": scene_seed(config)})
     scene = build_scene(seeded)
     sorties: tuple[Sortie, ...] = ()
     exposing = None
@@ -243,7 +243,7 @@ def _bench(config: Config) -> BenchData:
 
 def _line(config: Config) -> Line:
     """The ranging line as it will be set up; how the instruments lean does not show in a plan."""
-    seed = config.seed if config.scene_seed is None else config.scene_seed
+    seed = scene_seed(config)
     setting = build_line(config, generator(seed, Stream.RANGING, SCENE_KEY))
     return Line(
         config=config,

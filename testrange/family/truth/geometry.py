@@ -17,6 +17,7 @@ from simulator.camera.view import frame_pose, project, undistort
 from simulator.faults import with_true_lens
 from simulator.flight import rig
 from simulator.flight.plan import fly
+from simulator.randomness import scene_seed
 
 _LENS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
 _LENS_STEP = np.array([1e-2, 1e-2, 1e-2, 1e-2, 1e-5, 1e-5, 1e-5, 1e-6, 1e-6])
@@ -171,7 +172,7 @@ class Calibration:
     def __init__(self, config: Config, vertex_std_m: float, mark_std_px: float) -> None:
         self._config = with_true_lens(config)
         self._noise = vertex_std_m, mark_std_px
-        fixed = config.model_copy(update={"seed": config.seed if config.scene_seed is None else config.scene_seed})
+        fixed = config.model_copy(update={"seed": scene_seed(config)})
         scene = build_scene(fixed)
         camera = self._config.camera
         frustums = [t for t in scene.targets if t.kind == "frustum"]

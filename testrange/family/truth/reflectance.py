@@ -21,6 +21,7 @@ from simulator.flight import rig
 from simulator.flight.motion import Strip
 from simulator.flight.plan import Sortie, fly
 from simulator.lidar.radar_equation import extinction_per_km
+from simulator.randomness import scene_seed
 
 _GRID = 5  # points across a panel
 _INSIDE = 0.7  # of its size
@@ -43,7 +44,7 @@ class Radiometry:
 
     def __init__(self, config: Config) -> None:
         self._config = config
-        fixed = config.model_copy(update={"seed": config.seed if config.scene_seed is None else config.scene_seed})
+        fixed = config.model_copy(update={"seed": scene_seed(config)})
         self._scene: Scene = build_scene(fixed)
         self._sorties: tuple[Sortie, ...] = fly(fixed, self._scene.layout)
         self.panels: tuple[Target, ...] = tuple(t for t in self._scene.targets if t.spectrum is not None)
