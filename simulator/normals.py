@@ -12,7 +12,7 @@ NORMAL = tuple(
 )
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, inline="always")
 def normal_stream(key: np.uint64, first: np.uint64, words: np.ndarray, sums: np.ndarray, out: np.ndarray) -> None:
     """Standard normal float32 numbers of the words first, first + 1, ... of the stream `key`, two of each.
 

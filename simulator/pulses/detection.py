@@ -36,7 +36,7 @@ def tables(
     return np.ceil(rise).astype(np.int32), np.ceil(fall).astype(np.int32), log.astype(np.float32)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _fit_peak(
     wave: np.ndarray, first: int, last: int, baseline: float, log: np.ndarray, full_scale: int, floor: float
 ) -> tuple[float, float, float]:
@@ -89,7 +89,7 @@ def _fit_peak(
     return middle + x, math.exp(a + 0.5 * b * x), math.sqrt(half)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _ends(wave: np.ndarray, high: int, above: np.ndarray, words: np.ndarray) -> tuple[int, int]:
     """First and last sample of at least `high`; (0, -1): none. `above`: work space, zero past the samples, which `words` shows by
     eights."""
@@ -115,7 +115,7 @@ def _ends(wave: np.ndarray, high: int, above: np.ndarray, words: np.ndarray) -> 
     return start, 8 * last + int((top * np.uint64(0x0101010101010101)) >> np.uint64(56)) - 1
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _maxima(
     wave: np.ndarray,
     start: int,

@@ -202,7 +202,7 @@ def _blocks(
     return number, found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _compare(
     lanes: np.ndarray,
     dx: np.float32,
@@ -273,7 +273,7 @@ def touch(
     stack, number = np.empty(2 * WIDE * (len(level) + 1), np.int64), np.empty(8, np.int64)
     lanes, span = np.empty(WIDE * LANES * len(number), np.float32), np.empty((len(number), 2))
     least, near = np.empty(WIDE, np.float32), np.empty(WIDE, np.uint8)
-    words = near.view(np.uint64)  # eight of them at a glance
+    words = near.view(np.uint64)  # eight bytes of 0 and 1 at a glance
     for begin in range(min(stride, n)):
         start = begin
         while start < n:
@@ -320,11 +320,13 @@ def touch(
                         more, more_whole = np.empty(2 * len(row), np.int64), np.empty(2 * len(row), np.bool_)
                         more[:rows], more_whole[:rows] = row[:rows], whole[:rows]
                         row, whole = more, more_whole
-                    for word in range(WIDE // 8):
-                        if words[word] == 0:
-                            continue
-                        for j in range(8 * word, min(8 * word + 8, triangles - number[tile] * WIDE)):
-                            if near[j] > 0:
+                    for eight in range(WIDE // 8):
+                        word = words[eight]
+                        while word != 0:
+                            low = word & (~word + np.uint64(1))
+                            j = 8 * eight + int((low * np.uint64(0x0001020304050607)) >> np.uint64(56))
+                            word ^= low
+                            if number[tile] * WIDE + j < triangles:
                                 row[rows] = number[tile] * WIDE + j
                                 whole[rows] = least[j] >= limit
                                 rows += 1

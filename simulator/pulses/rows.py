@@ -69,7 +69,7 @@ def inside(world: np.ndarray, low: np.ndarray, cell_m: float, mask: np.ndarray, 
         keep[r] = 0 <= x < mask.shape[0] and 0 <= y < mask.shape[1] and mask[int(x), int(y)]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, inline="always")
 def _copy(wave: np.ndarray, to: np.ndarray) -> None:
     for k in range(len(wave)):
         to[k] = wave[k]

@@ -28,7 +28,7 @@ def pulse_deviates(key: np.uint64, first: int, samples: int, out: np.ndarray) ->
             out[k, i] = few[k]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def steps(light: np.ndarray, normal: np.ndarray, levels: np.ndarray, out: np.ndarray) -> None:
     """One waveform's light to whole steps. `levels`: baseline, noise variance, shot variance a step, background, full scale."""
     baseline, noise_variance, shot_variance, background, full_scale = levels
@@ -40,7 +40,7 @@ def steps(light: np.ndarray, normal: np.ndarray, levels: np.ndarray, out: np.nda
         out[k] = np.uint16(np.int32(value))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _add_echo(
     light: np.ndarray, x: float, peak: float, sigma: float, power: np.ndarray, bits: np.ndarray, rest: np.ndarray
 ) -> None:

@@ -15,14 +15,14 @@ MERGE = 0.06  # echoes closer than this part of the pulse's length are one
 OUTSIDE, WHOLE, BROKEN = 3, 4, 5  # how a triangle stands to a cone, beside the numbers of its edges
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def over(plane: np.ndarray, t: int, beam: np.ndarray) -> float:
     """Height of a triangle's plane over the beam's origin, along its normal. `beam`: origin, then direction. [m]"""
     height: float = plane[t, 3] - plane[t, 0] * beam[0] - plane[t, 1] * beam[1] - plane[t, 2] * beam[2]
     return height
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _hidden(corner: np.ndarray, plane: np.ndarray, t: int, cover: int, beam: np.ndarray) -> bool:
     """Whether triangle t lies behind the plane of another that covers the cone."""
     nx, ny, nz, height = plane[cover, 0], plane[cover, 1], plane[cover, 2], over(plane, cover, beam)
@@ -34,7 +34,7 @@ def _hidden(corner: np.ndarray, plane: np.ndarray, t: int, cover: int, beam: np.
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _passes(
     px: float,
     py: float,
@@ -61,7 +61,7 @@ def _passes(
     return qx * dx + qy * dy + qz * dz > 0.0 and bx * bx + by * by + bz * bz < limit * (qx * qx + qy * qy + qz * qz)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _stands(corner: np.ndarray, t: int, beam: np.ndarray, reach: float) -> int:
     """How a triangle stands to the cone: OUTSIDE, WHOLE, BROKEN, or the number of the only edge that runs through the cone.
 
@@ -88,7 +88,7 @@ def _stands(corner: np.ndarray, t: int, beam: np.ndarray, reach: float) -> int:
     return edge if within or edge != WHOLE else OUTSIDE
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _shared(corner: np.ndarray, a: int, edge_a: int, b: int, edge_b: int) -> bool:
     """Whether an edge of one triangle is one of another's, their vertices in any order."""
     p, q = 3 * edge_a, 3 * ((edge_a + 1) % 3)
@@ -102,7 +102,7 @@ def _shared(corner: np.ndarray, a: int, edge_a: int, b: int, edge_b: int) -> boo
     return False
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _crease(
     corner: np.ndarray,
     plane: np.ndarray,
@@ -167,7 +167,7 @@ def _crease(
     return 0 if z >= 0.0 else 1
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _joined(echo: np.ndarray, row: int, join_m: float) -> int:
     """Two echoes from `row` on as one where their ranges are nearly the same; how many they are now."""
     step = echo[row + 1, 1] - echo[row, 1]
