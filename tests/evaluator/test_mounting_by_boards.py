@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from campaign.config import Lens
 from campaign.sensors import MountingSheet, NavigationSheet, Rig
+from evaluator.boards.board_blunders import gauss_newton
 from evaluator.boards.board_model import BoardProblem, Views, observation_covariance, remap
 from evaluator.boards.board_observations import BoardObservation
 from evaluator.boards.board_strips import predicted_std
@@ -277,6 +278,17 @@ def test_a_coarser_navigation_says_so():
     assert np.abs(z).max() <= 3.5 and np.sum(np.abs(z) > 3.0) <= 1
     assert 0.6 < z.std() < 1.5
     assert np.mean([m.mean_adjusted_px for m in found]) <= 0.5
+
+
+def test_sharp_centres_under_a_coarse_navigation_converge():
+    """Rationale: centres stated to 0.002 px under pixels of common navigation error make rows nearly alike; the normal equations'
+    rounding then moves the parameters by more than the limit in every iteration, for ever.
+    """
+    for seed in range(3):
+        problem, views, observations = draw(flight(), seed, "apx15")
+        sharp = replace(views, covariance_px2=np.tile(0.002**2 * np.eye(2), (len(observations), 1, 1)))
+        uv = np.array([o.uv_px for o in observations])
+        assert gauss_newton(problem, sharp, uv, np.zeros(6)).iterations <= 8
 
 
 def test_every_cause_is_in_the_covariance():
