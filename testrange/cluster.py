@@ -12,7 +12,6 @@ import secrets
 import threading
 import time
 from collections.abc import Iterator
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from campaign.errors import TestrangeError, WriteError
 from campaign.progress import Report
 from campaign.threads import THREADS_VARIABLE
 from simulator.journal import Journal, finished_units
+from simulator.release import release
 
 POLL_S = 2.0
 SHARES = 2  # for each worker: a slow machine leaves some of its part to the others
@@ -70,7 +70,7 @@ def share_on_cluster(
                     (str(folder), str(own), token),
                     only,
                     (k, count),
-                    version("testrange"),
+                    release(),
                     key=f"testrange-{token}-{k}",
                     pure=False,
                 )
@@ -162,13 +162,13 @@ def _gather(journal: Path) -> None:
 
 
 def make_share(
-    config: str, place: Place, only: frozenset[str] | None, share: tuple[int, int], release: str
+    config: str, place: Place, only: frozenset[str] | None, share: tuple[int, int], asked: str
 ) -> str | None:
     """One share of a campaign's units, on a worker. What it cannot do at all, in words; a unit that fails, fails in the caller too,
     which then says so."""
     folder, journal, token = Path(place[0]), Path(place[1]), place[2]
-    if version("testrange") != release:
-        return f"testrange {version('testrange')} on {platform.node()}, {release} here"
+    if release() != asked:
+        return f"testrange {release()} on {platform.node()}, {asked} here"
     if not _is_wanted(journal, token):
         return f"{platform.node()} does not see {folder}"
 

@@ -129,10 +129,10 @@ def simulate(
 
 def _task(config: Config, *more: object) -> str:
     """All that decides what a simulation writes."""
-    from importlib.metadata import version
+    from simulator.release import release
 
     body = config.model_dump_json(exclude={"render": {"cache", "cache_limit_gb"}})
-    return json.dumps([version("testrange"), body, *more], default=str)
+    return json.dumps([release(), body, *more], default=str)
 
 
 def _refuse_unsound(campaign: Path, keep_going: bool) -> list[str]:

@@ -17,7 +17,6 @@ at each distance, as a person would, so that the brightest white of its pictures
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import fields
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +41,7 @@ from simulator.camera.ripple import ripple_px, rippled
 from simulator.journal import Journal
 from simulator.kept import kept_array
 from simulator.randomness import Stream, generator, scene_seed
+from simulator.release import release
 from simulator.render.board import BoardView, render_board
 from simulator.render.sampling import frame_words
 from simulator.render.scene import load_scene
@@ -116,7 +116,7 @@ def simulate_chessboard(
             grey = kept_array(
                 config.render.cache,
                 (
-                    version("testrange"),
+                    release(),
                     "chessboard",
                     *_seen(view),
                     board,

@@ -7,7 +7,6 @@ camera is switched on too. The stability series comes first, and one of its inte
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +25,7 @@ from simulator.camera.view import undistort
 from simulator.journal import Journal
 from simulator.kept import kept_array
 from simulator.randomness import Stream, generator, scene_seed
+from simulator.release import release
 from simulator.render.sphere import radiance_per_watt, wall_points
 
 STABILITY, REPEATABILITY = 0, 1  # keys of random streams
@@ -124,7 +124,7 @@ def sphere_light(config: Config, window: sensor.Window) -> SphereLight:
     seed = scene_seed(config)
     nodes = kept_array(
         config.render.cache,
-        (version("testrange"), "sphere", scene, places, seed),
+        (release(), "sphere", scene, places, seed),
         lambda: radiance_per_watt(scene, places, seed),
         config.render.cache_limit_gb,
     ).reshape(down, across)

@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +27,7 @@ from simulator.flight.motion import Motion, Strip
 from simulator.journal import Journal
 from simulator.kept import kept_blocks
 from simulator.randomness import Stream, generator, scene_seed
+from simulator.release import release
 from simulator.render.radiance import band_rows, render_bands
 from simulator.world import Range, light_at
 
@@ -133,7 +133,7 @@ def _radiance(
         regions = camera_maths.target_regions(camera, pose, scene)
         return render_bands(world.render_scene, camera, pose, light, settings, seed, key, regions)
 
-    made_of: tuple[object, ...] = (version("testrange"), "frame", seed, key, optics, shutter, samples, pose, light)
+    made_of: tuple[object, ...] = (release(), "frame", seed, key, optics, shutter, samples, pose, light)
     made_of = (*made_of, scene.mesh, scene.materials, scene.targets)
     return kept_blocks(settings.cache, made_of, render, settings.cache_limit_gb)
 

@@ -11,7 +11,6 @@ import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 from campaign.atomic import complete_file, complete_folder
@@ -20,6 +19,7 @@ from campaign.errors import CampaignError, TestrangeError
 from campaign.load import dump_toml
 from campaign.manifest import read_manifest, write_manifest
 from campaign.progress import Report
+from simulator.release import release
 from testrange.family.cards import card_text, readme_text
 from testrange.family.design import designed
 from testrange.family.edits import edit_records
@@ -118,7 +118,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _digest(*of: object) -> str:
-    return hashlib.sha256(repr((version("testrange"), *of)).encode()).hexdigest()
+    return hashlib.sha256(repr((release(), *of)).encode()).hexdigest()
 
 
 def member_config(family: Family, member: Member) -> Config:

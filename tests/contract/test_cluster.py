@@ -7,7 +7,6 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import pytest
 from campaign.config import Config
 from campaign.resume import resumable_folder
 from simulator.journal import Journal, finished_units
+from simulator.release import release
 from testrange import cluster as on_cluster
 from testrange.cluster import ClusterError, make_share
 from testrange.progress import no_progress
@@ -23,7 +23,7 @@ from testrange.study.execution import cluster as connection
 from testrange.workers import simulate_units
 
 distributed = pytest.importorskip("distributed")
-RELEASE = version("testrange")
+RELEASE = release()
 
 
 def digests(folder: Path) -> dict[str, str]:
