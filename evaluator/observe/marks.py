@@ -14,6 +14,7 @@ import scipy.signal
 from evaluator.observe.mark_view import FINE, Maps, MarkView, appearance, centre_hidden, mark_radius_px
 
 _EDGE_STD = np.radians(2.0)  # direction of each edge against the predicted one
+_LEAST_EDGE_STD = np.radians(0.2)  # the same, as the drawing has it
 _SHADE_SHARE, _SHADE_STD = 0.28, 0.12  # light in the shade over light in the sun: sky, and sunlit faces
 _LEAST_SHARE_PX = 0.02  # pixels of a region, below which it has no brightness of its own
 _LEAST_CORRELATION = 0.6
@@ -122,8 +123,13 @@ def _start(y: np.ndarray, shares: np.ndarray, regions: list[int]) -> np.ndarray:
     return out
 
 
-def _refine(samples: _Samples, maps: Maps, view: MarkView, start: np.ndarray, iterations: int = 10) -> _State | None:
-    """Gauss-Newton on centre, edge directions, blur and shadow; brightness and its slopes across the mark are linear."""
+def _refine(
+    samples: _Samples, maps: Maps, view: MarkView, start: np.ndarray, edge_std: float = _EDGE_STD, iterations: int = 10
+) -> _State | None:
+    """Gauss-Newton on centre, edge directions, blur and shadow; brightness and its slopes across the mark are linear.
+
+    `edge_std`: of each edge's direction against the predicted one. [rad]
+    """
     state = _State(
         centre=start, edges=np.zeros(2), covariance=np.eye(2), coefficients=np.zeros(4), rms=np.inf, pixels=0
     )
@@ -163,7 +169,7 @@ def _refine(samples: _Samples, maps: Maps, view: MarkView, start: np.ndarray, it
         design = np.column_stack([*nonlinear, *(m[k] for k in regions), *slopes])
         first, last = len(nonlinear), len(nonlinear) + len(regions)
         prior_std = np.full(design.shape[1], np.inf)
-        prior_std[2:4] = _EDGE_STD
+        prior_std[2:4] = edge_std
         prior_std[4:first] = 1.0
         prior_value = np.zeros(design.shape[1])  # of the increments: the edges' prior stands at zero
         prior_value[2:4] = -state.edges
@@ -285,10 +291,13 @@ def _fit_at(
     difference = abs(float(pair[0] - pair[1]))
     contrast = difference / max(float(np.max(np.abs(pair))), 1e-12)
     covariance = _CORRELATED**2 * best.covariance + _FLOOR_PX**2 * np.eye(2)
-    if len(maps.by_shade):  # with the shadow where it is predicted: what the centre owes to the shadow's place
-        still = _refine(samples, replace(maps, by_shade=maps.by_shade[:0]), view, best.centre)
+    # what the centre owes to the edges' directions, where a funnel leaves half a mark, and to the shadow's place
+    others = [(1.0, _refine(samples, maps, view, best.centre, edge_std=_LEAST_EDGE_STD))]
+    if len(maps.by_shade):
+        others.append((0.5, _refine(samples, replace(maps, by_shade=maps.by_shade[:0]), view, best.centre)))
+    for share, still in others:
         if still is not None:
-            covariance += 0.5 * np.outer(still.centre - best.centre, still.centre - best.centre)
+            covariance += share * np.outer(still.centre - best.centre, still.centre - best.centre)
     std = float(np.sqrt(np.max(np.linalg.eigvalsh(covariance))))
     if contrast < _LEAST_CONTRAST:
         return f"contrast of {contrast:.2f} between the sectors"
