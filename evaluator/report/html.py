@@ -4,6 +4,7 @@ No request leaves the page and nothing in it runs: there is no script, and a con
 on the time or the place of its making.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,8 +37,8 @@ def _shown(value: object) -> object:
     return clean(value, _LONGEST)
 
 
-def render_report(evaluation: Evaluation, score: Score | None, language: Language = "zh") -> str:
-    """The report as one HTML text."""
+def _parts(evaluation: Evaluation, score: Score | None, language: Language) -> Iterator[str]:
+    """The page piece by piece: with its pictures it has megabytes, and twice as many in memory where a text is Chinese."""
     t = Texts(language)
     results = build_results(evaluation)
     counts: dict[str, int] = {}
@@ -57,44 +58,49 @@ def render_report(evaluation: Evaluation, score: Score | None, language: Languag
             for section, page in pictures(evaluation, results, score, t).items()
         }
     images = [replace(s, reason=plain(s.reason, evaluation.root)) for s in shots(evaluation)]
-    page = environment.get_template("template.html.j2").render(
-        t=t,
-        font_place=_FONT_PLACE,
-        evaluation=evaluation,
-        begun=time_in_words(evaluation.data.manifest.start_time, language) if evaluation.data else "",
-        manifest=evaluation.data.manifest if evaluation.data else None,
-        foreign=sorted(results.get("algorithms", {}).items()),
-        cards=sections.indicator_cards(evaluation, results, t),
-        groups=sections.group_rows(evaluation, t),
-        data=sections.data_rows(evaluation, t),
-        conformity=[
+    content = {
+        "t": t,
+        "font_place": _FONT_PLACE,
+        "evaluation": evaluation,
+        "begun": time_in_words(evaluation.data.manifest.start_time, language) if evaluation.data else "",
+        "manifest": evaluation.data.manifest if evaluation.data else None,
+        "foreign": sorted(results.get("algorithms", {}).items()),
+        "cards": sections.indicator_cards(evaluation, results, t),
+        "groups": sections.group_rows(evaluation, t),
+        "data": sections.data_rows(evaluation, t),
+        "conformity": [
             {**r, **{key: translated(str(r[key]), language) for key in ("requirement", "measured", "limit")}}
             for r in results["conformity"]
         ],
-        counts=counts,
-        problems=results["problems"],
-        mounting=results["mounting"],
-        mounting_reason=translated(str(results["mounting"].get("reason") or ""), language),
-        mounting_rows=sections.mounting_rows(results, t),
-        three_ways=sections.three_ways(results, t),
-        inseparable=sections.inseparable(results, t),
-        closure_rows=sections.closure_rows(results, t),
-        clock_rows=sections.clock_rows(results, t),
-        board_rows=sections.board_rows(results, t),
-        diagnosis=results["diagnosis"],
-        parameters=sections.parameter_tables(evaluation, t),
-        left_out=sections.left_out(evaluation),
-        decimals=decimals,
-        name=lambda text: parameter(text, language),
-        words=lambda text: blunder(str(text or ""), language),
-        number=lambda value: sections.number(value, t),
-        score=score,
-        album=album,
-        images=images,
-        colours=GRADE_COLOURS,
+        "counts": counts,
+        "problems": results["problems"],
+        "mounting": results["mounting"],
+        "mounting_reason": translated(str(results["mounting"].get("reason") or ""), language),
+        "mounting_rows": sections.mounting_rows(results, t),
+        "three_ways": sections.three_ways(results, t),
+        "inseparable": sections.inseparable(results, t),
+        "closure_rows": sections.closure_rows(results, t),
+        "clock_rows": sections.clock_rows(results, t),
+        "board_rows": sections.board_rows(results, t),
+        "diagnosis": results["diagnosis"],
+        "parameters": sections.parameter_tables(evaluation, t),
+        "left_out": sections.left_out(evaluation),
+        "decimals": decimals,
+        "name": lambda text: parameter(text, language),
+        "words": lambda text: blunder(str(text or ""), language),
+        "number": lambda value: sections.number(value, t),
+        "score": score,
+        "album": album,
+        "images": images,
+        "colours": GRADE_COLOURS,
+    }
+    template = environment.get_template("template.html.j2")
+    characters = frozenset().union(*map(frozenset, template.generate(content)))
+    face = (
+        f"@font-face{{font-family:'Report SC';src:url({font_uri(characters)}) format('woff');unicode-range:{_CHINESE}}}"
     )
-    face = f"@font-face{{font-family:'Report SC';src:url({font_uri(page)}) format('woff');unicode-range:{_CHINESE}}}"
-    return page.replace(_FONT_PLACE, face, 1)
+    for part in template.generate(content):
+        yield part.replace(_FONT_PLACE, face, 1)
 
 
 def write_report(path: Path, evaluation: Evaluation, score: Score | None = None, language: Language = "zh") -> None:
@@ -111,4 +117,6 @@ def write_report(path: Path, evaluation: Evaluation, score: Score | None = None,
     language : "zh" | "en"
         Of headings, words and captions; numbers are the same. What the evaluator says in records and reasons is English.
     """
-    path.write_bytes(render_report(evaluation, score, language).encode())
+    with path.open("wb") as file:
+        for part in _parts(evaluation, score, language):
+            file.write(part.encode())

@@ -3,7 +3,7 @@
 import base64
 import contextlib
 import io
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -92,14 +92,14 @@ def svg_uri(drawn: Figure) -> str:
     return _uri("image/svg+xml", buffer.getvalue())
 
 
-def font_uri(text: str) -> str:
-    """Noto Sans SC cut down to the Chinese characters and their punctuation that `text` uses, as WOFF.
+def font_uri(characters: Iterable[str]) -> str:
+    """Noto Sans SC cut down to the Chinese ones and their punctuation among `characters`, as WOFF.
 
     A machine without Chinese fonts shows the report all the same.
     """
     options = subset.Options(layout_features=[], name_IDs=[1, 2, 13, 14], notdef_outline=True, hinting=False)
     cutter = subset.Subsetter(options)
-    cutter.populate(unicodes=sorted({ord(c) for c in set(text) if ord(c) >= 0x2E80}))
+    cutter.populate(unicodes=sorted({ord(c) for c in characters if ord(c) >= 0x2E80}))
     buffer = io.BytesIO()
     with TTFont(Path(pylopdf_fonts_zh_cn.sans_path()), lazy=True, recalcTimestamp=False) as font:
         cutter.subset(font)

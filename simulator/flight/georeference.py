@@ -4,7 +4,6 @@ Frames and rotations are defined in `simulator.flight.frames`; here they are onl
 BLAS, whose rounding depends on its threads.
 """
 
-
 import numba
 import numpy as np
 
@@ -42,10 +41,13 @@ def beams_world(
 
 
 class Track:
-    """A motion with the sines and cosines of its samples' angles, for millions of beams."""
+    """A motion, or what of it lies around two times, with the sines and cosines of its angles, for millions of beams."""
 
-    def __init__(self, motion: Motion) -> None:
-        time, pose = motion.gps_time_s, np.concatenate([motion.position_world_m, motion.rpy_rad], axis=1)
+    def __init__(self, motion: Motion, from_s: float = -np.inf, to_s: float = np.inf) -> None:
+        first = max(int(np.searchsorted(motion.gps_time_s, from_s, side="right")) - 1, 0)
+        part_of = slice(first, int(np.searchsorted(motion.gps_time_s, to_s, side="left")) + 1)
+        time = motion.gps_time_s[part_of]
+        pose = np.concatenate([motion.position_world_m[part_of], motion.rpy_rad[part_of]], axis=1)
         # so many pieces that a series is enough for the angles inside each; the motion stays the same
         pieces = np.maximum(np.ceil(np.abs(np.diff(pose[:, 3:], axis=0)).max(axis=1) / _SMALL_RAD), 1).astype(np.int64)
         begin = np.repeat(np.arange(len(pieces)), pieces)

@@ -145,14 +145,15 @@ def observe(
     ConfigError
         A surface beyond the unambiguous range, a trajectory that does not cover the strip, or a scanner that cannot be.
     """
-    for motion, clock_s in ((true_motion, 0.0), (estimated_motion, config.faults.lidar_clock_s)):
-        _require_cover(motion, strip, clock_s)
+    clock_s = config.faults.lidar_clock_s
+    _require_cover(true_motion, strip, 0.0)
+    _require_cover(estimated_motion, strip, clock_s)
     work = _Strip(
         render_scene.scene,
         config,
         strip,
-        Track(true_motion),
-        Track(estimated_motion),
+        Track(true_motion, strip.start_s, strip.end_s),
+        Track(estimated_motion, strip.start_s + clock_s, strip.end_s + clock_s),
         true_mounting,
         nominal_mounting,
         chart,
