@@ -1,0 +1,5 @@
+"""`python -m testrange` is the command `testrange`."""
+
+from testrange.cli import main
+
+main()
