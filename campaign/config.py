@@ -351,7 +351,9 @@ class Render(Model):
     samples: Literal[1, 2, 4, 8, 16, 32, 64, 128] = 4
     target_samples: Literal[1, 2, 4, 8, 16, 32, 64, 128, 256, 512] = 32
     bounces: Annotated[int, Field(ge=0, le=8)] = 1
-    cache: str | None = Field(None, description="folder that keeps rendered radiance between runs")
+    cache: Annotated[str, Field(min_length=1, pattern=r"^[^\x00]+$")] | None = Field(
+        None, description="folder that keeps rendered radiance between runs"
+    )
     cache_limit_gb: Positive = Field(50.0, description="of that folder; what was not used for the longest time goes")
 
 

@@ -6,12 +6,14 @@ that cannot be made.
 """
 
 import contextlib
+import errno
 import hashlib
 import os
 import re
 import secrets
 import shutil
 import struct
+import tempfile
 import time
 import zlib
 from collections.abc import Callable, Iterator
@@ -22,7 +24,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel
 
-from campaign.atomic import readable_os_errors
+from campaign.errors import WriteError
 
 LIMIT_GB = 50.0  # `render.cache_limit_gb` where nobody sets it
 SPARE_BYTES = 2e9  # of the disk, which the campaign itself may need
@@ -84,11 +86,35 @@ def kept_blocks(
             with contextlib.suppress(OSError):
                 os.utime(kept)  # used now
             return
-    with readable_os_errors(kept.parent):
-        kept.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(kept.parent)
     for number, block in enumerate(_keeping(make(), kept, limit_gb * 1e9)):
         if number >= sound:
             yield block
+
+
+def make_folder(folder: Path, to_write: bool = False) -> None:
+    """Make the folder of what is kept; `to_write` also tries whether a file can be made in it. A full disk is no reason to refuse.
+
+    Raises
+    ------
+    WriteError
+        It cannot be made, or not be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if to_write:
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+    except OSError as error:
+        if folder.is_dir() and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return
+        raise WriteError(
+            "the folder that keeps renders cannot be written",
+            where=str(folder),
+            got="no folder" if isinstance(error, FileExistsError) else error.strerror,
+            expected="a folder that can be made and written",
+            remedy="choose another with --cache or render.cache, or leave it out",
+        ) from None
 
 
 def kept_bytes(folder: Path) -> int:

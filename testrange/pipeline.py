@@ -23,6 +23,7 @@ from evaluator.model import EvaluationError
 from evaluator.results import Evaluation, write_results
 from evaluator.scores.score import Score, score_campaign, write_score
 from testrange.progress import ProgressCallback
+from testrange.refusals import refuse_at_once
 from testrange.workers import simulate_units
 
 if TYPE_CHECKING:
@@ -117,13 +118,20 @@ def simulate(
     *,
     replace: bool = False,
     only: Part | None = None,
-    workers: int = 1,
+    workers: int | None = None,
     scheduler: str | None = None,
 ) -> None:
     """Writes the campaign folder `out`; `only` simulates one part of it. What an interrupted call had made is not made again."""
+    refuse_at_once(config, out, replace=replace, workers=workers, scheduler=scheduler)
     with resumable_folder(out, _task(config, "simulate", only), replace) as work:
         simulate_units(
-            config, work.folder, work.journal, progress, None if only is None else frozenset({only}), workers, scheduler
+            config,
+            work.folder,
+            work.journal,
+            progress,
+            None if only is None else frozenset({only}),
+            workers or 1,
+            scheduler,
         )
 
 
@@ -221,7 +229,7 @@ def run(
     replace: bool = False,
     languages: Sequence[Language] = ("zh",),
     documents: bool = True,
-    workers: int = 1,
+    workers: int | None = None,
     scheduler: str | None = None,
 ) -> Run:
     """Simulates, evaluates, scores and reports into `out`/campaign and `out`/results. What an interrupted call had simulated is
@@ -229,11 +237,12 @@ def run(
     from evaluator.evaluate import evaluate_campaign
 
     start = time.monotonic()
+    refuse_at_once(config, out, replace=replace, workers=workers, scheduler=scheduler)
     with resumable_folder(out, _task(config, "run"), replace) as work:
         campaign, results = work.folder / "campaign", work.folder / "results"
         campaign.mkdir(exist_ok=True)
         shutil.rmtree(results, ignore_errors=True)
-        simulate_units(config, campaign, work.journal, progress, None, workers, scheduler)
+        simulate_units(config, campaign, work.journal, progress, None, workers or 1, scheduler)
         evaluation = evaluate_campaign(campaign, progress)
         score = _write_results(results, campaign, evaluation, languages, progress, score=True, documents=documents)
     return Run(
@@ -357,9 +366,11 @@ def faults(
     study: "FaultStudy", out: Path, progress: ProgressCallback, settings: Sequence[str] = (), *, replace: bool = False
 ) -> "FaultMatrix":
     """Runs a fault matrix into `out`: matrix.json, and NN/results.json of every case."""
+    from campaign.load import load_config
     from evaluator.results import write_json
     from testrange.faults import matrix_block, run_matrix
 
+    refuse_at_once(load_config(study.base, (*study.set, *settings)), out, replace=replace)
     with complete_folder(out, replace) as work:
         matrix = run_matrix(study, work, progress, settings)
         write_json(work / "matrix.json", matrix_block(matrix))

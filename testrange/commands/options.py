@@ -2,11 +2,12 @@
 
 import json
 import sys
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
+
+from campaign.errors import ConfigError
 
 Settings = Annotated[
     tuple[str, ...],
@@ -21,10 +22,11 @@ Replace = Annotated[
     bool, Parameter(negative="", show_default=False, help="Replace an output folder of an earlier run.")
 ]
 Workers = Annotated[
-    int,
+    int | None,
     Parameter(
         validator=Number(gte=1, lte=256),
-        help="Processes that share pictures and strips, and the cores; the same files for any number.",
+        show_default=False,
+        help="Processes that share pictures and strips, and the cores, 1 by default; the same files for any number.",
     ),
 ]
 Scheduler = Annotated[
@@ -36,7 +38,7 @@ Scheduler = Annotated[
     ),
 ]
 Cache = Annotated[
-    Path | None,
+    str | None,  # a path would make "." of an empty text
     Parameter(
         show_default=False,
         help="Folder that keeps renders between runs: with scene_seed fixed, another seed or navigation error renders nothing "
@@ -58,9 +60,11 @@ Documents = Annotated[
 Quiet = Annotated[bool, Parameter(negative="", show_default=False, help="No progress.")]
 
 
-def with_cache(settings: tuple[str, ...], cache: Path | None) -> tuple[str, ...]:
+def with_cache(settings: tuple[str, ...], cache: str | None) -> tuple[str, ...]:
     """The settings, and where renders are kept."""
-    return settings if cache is None else (*settings, f"render.cache={json.dumps(str(cache), ensure_ascii=False)}")
+    if cache == "":
+        raise ConfigError("is empty", where="--cache", expected="a folder", remedy="leave it out to keep no renders")
+    return settings if cache is None else (*settings, f"render.cache={json.dumps(cache, ensure_ascii=False)}")
 
 
 def print_json(content: Any) -> None:

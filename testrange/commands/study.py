@@ -44,9 +44,11 @@ def study(
         Remove the renders that points share, which are kept for the next call.
     """
     from testrange.progress import display
+    from testrange.refusals import refuse_scheduler
     from testrange.study.report.tell import print_done, summary
     from testrange.study.run import run_study
 
+    refuse_scheduler(scheduler, workers)
     with display(quiet=quiet) as progress:
         done = run_study(
             source,

@@ -4,14 +4,17 @@ Point results come back to the study, which writes them: workers need no common 
 they share renders; elsewhere each machine renders for itself.
 """
 
+import re
 from collections.abc import Callable
 from typing import Any
 
+from campaign.errors import ConfigError
 from testrange.study.execution.point import run_point
 from testrange.study.execution.schedule import Outcome, Task, not_run
 from testrange.study.model import StudyError
 
 CONNECT_S = 20.0
+_HOST = re.compile(r"[^\s/@?#]+")
 _AHEAD = 2  # tasks at the scheduler for each thread of the cluster: a worker need not wait for the next
 
 
@@ -76,18 +79,71 @@ class Cluster:
             return None
 
 
-def connect(address: str) -> tuple[Any, Any]:
-    """The client, and the function that waits for its futures."""
+def check_address(address: str) -> None:
+    """Nothing is asked of the network. A client that meets such an address itself waits long, and fails twice.
+
+    Raises
+    ------
+    ConfigError
+        Not HOST:PORT, by tcp or tls; no certificate for tls.
+    StudyError
+        Dask is not installed.
+    """
     try:
         import distributed
+        from distributed.comm.addressing import parse_address, parse_host_port
     except ImportError:
         raise StudyError(
             "--scheduler needs Dask, which is not installed", remedy="pip install 'testrange[cluster]'"
         ) from None
     try:
+        scheme, place = parse_address(address)
+        host, port = parse_host_port(place)
+    except ValueError:
+        scheme = host = ""
+        port = 0
+    if scheme not in ("tcp", "tls") or not _HOST.fullmatch(host) or not 0 < port < 65536:
+        raise ConfigError(
+            "is no address of a Dask scheduler",
+            where="--scheduler",
+            got=repr(address[:200]),
+            expected="tcp://HOST:PORT, tls://HOST:PORT or HOST:PORT, for example tcp://192.0.2.7:8786",
+        )
+    try:
+        read: Any = distributed.Security  # without types
+        security = read()
+        context = security.get_connection_args("client")["ssl_context"]
+    except (OSError, TypeError, ValueError) as error:
+        raise ConfigError(
+            "Dask's own settings for TLS are wrong",
+            where="distributed.comm.tls",
+            got=f"{type(error).__name__}: {error}"[:200],
+        ) from None
+    if scheme == "tls" and context is None:
+        raise ConfigError(
+            "TLS needs certificates",
+            where="--scheduler",
+            got=repr(address),
+            expected="ca-file and client.cert in Dask's settings, distributed.comm.tls",
+        )
+    if scheme == "tcp" and security.require_encryption:
+        raise ConfigError(
+            "Dask's settings ask for encryption",
+            where="--scheduler",
+            got=repr(address),
+            expected="tls://HOST:PORT, or another distributed.comm.require-encryption",
+        )
+
+
+def connect(address: str) -> tuple[Any, Any]:
+    """The client, and the function that waits for its futures."""
+    check_address(address)
+    import distributed
+
+    try:
         client: Any = distributed.Client
         return client(address, timeout=CONNECT_S, set_as_default=False), distributed.wait
-    except (OSError, TimeoutError, ValueError) as error:
+    except (OSError, RuntimeError, TimeoutError, TypeError, ValueError) as error:
         raise StudyError(
             "no Dask scheduler answers",
             where=address,
