@@ -1,9 +1,15 @@
-"""Files and folders that appear complete or not at all: written beside the target, renamed at the end, removed on any failure."""
+"""Files and folders that appear complete or not at all: written beside the target, renamed at the end, removed on any failure.
+
+A folder is on the disk before it gets its name. Two processes may write the same file: each has a temporary one of its own.
+"""
 
 import contextlib
 import errno
 import os
+import re
+import secrets
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -59,7 +65,7 @@ def complete_file(target: Path) -> Iterator[Path]:
     """Give a temporary name beside `target` (same suffix); rename it when the block ends, remove it when the block fails."""
     if target.name in ("", "..") or target.is_dir():
         raise CampaignError("is a folder", where=str(target), expected="the name of a file to write")
-    work = target.with_name(f".{target.stem}.part{target.suffix}")
+    work = part_of(target)
     with readable_os_errors(target):
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -68,6 +74,11 @@ def complete_file(target: Path) -> Iterator[Path]:
         except BaseException:
             work.unlink(missing_ok=True)
             raise
+
+
+def part_of(target: Path) -> Path:
+    """A name beside `target`, with its suffix, that no other writer has: what is renamed is one writer's whole file."""
+    return target.with_name(f".{target.stem}.part-{os.getpid()}-{secrets.token_hex(4)}{target.suffix}")
 
 
 @contextlib.contextmanager
@@ -118,20 +129,66 @@ def check_target(target: Path, replace: bool) -> None:
 
 
 def put_in_place(work: Path, target: Path, replace: bool) -> None:
-    """Rename `work` to `target`; what stood there is deleted after."""
+    """Rename `work` to `target` when it is on the disk; what stood there is deleted after."""
     check_target(target, replace)
+    _sync_tree(work)
     if not target.exists():
         work.rename(target)
+        _sync_folder(target.parent)
         return
     old = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".old", dir=target.parent))
     target.rename(old / "old")
     try:
         work.rename(target)
+        _sync_folder(target.parent)
     except BaseException:
         (old / "old").rename(target)
         raise
     finally:
         shutil.rmtree(old, ignore_errors=True)
+
+
+def settle_replaced(target: Path) -> None:
+    """What a kill within `put_in_place` left of a replaced folder: put back where nothing stands in its place, else deleted.
+
+    For who holds the target's lock.
+    """
+    made = re.compile(rf"\.{re.escape(target.name)}\.[a-z0-9_]{{8}}\.old")  # as mkdtemp makes them
+    left = [p for p in target.parent.iterdir() if made.fullmatch(p.name) and p.is_dir() and not p.is_symlink()]
+    for place in sorted(left, key=lambda p: (-p.stat().st_mtime_ns, p.name)):
+        old = place / "old"
+        if any(p != old or p.is_symlink() or not p.is_dir() for p in place.iterdir()):  # not as we leave it
+            continue
+        free = not target.exists() and not target.is_symlink()
+        if free and any((old / mark).is_file() for mark in _OWN_MARKS):
+            old.rename(target)
+            _sync_folder(target.parent)
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def sync_file(path: Path) -> None:
+    """Have a file's bytes on the disk."""
+    with path.open("rb" if os.name == "posix" else "r+b") as file:  # elsewhere only who may write may do so
+        os.fsync(file.fileno())
+
+
+def _sync_tree(folder: Path) -> None:
+    """Every file below `folder`, and the names in its folders. What is on the disk already costs nothing."""
+    for place, _, names in os.walk(folder, topdown=False):
+        for path in (Path(place, name) for name in names):
+            if stat.S_ISREG(path.lstat().st_mode):
+                sync_file(path)
+        _sync_folder(Path(place))
+
+
+def _sync_folder(folder: Path) -> None:
+    """The names in a folder, where the system can do that."""
+    with contextlib.suppress(OSError):
+        number = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
 
 
 def _umask() -> int:

@@ -18,7 +18,7 @@ import laspy  # type: ignore[import-untyped]
 import lazrs  # type: ignore[import-untyped]
 import numpy as np
 
-from campaign.atomic import readable_os_errors
+from campaign.atomic import part_of, readable_os_errors
 from campaign.errors import CampaignError
 from campaign.formats.las_layout import LasHeader, WaveDescriptor, read_header
 from campaign.formats.las_packets import PacketTable, packet_table, records
@@ -92,7 +92,7 @@ class StripWriter:
     def __init__(self, las: Path, points: Path, spec: LasSpec) -> None:
         self._spec = spec
         self._targets = (las, las.with_suffix(".wdp"), points)
-        self._work = tuple(t.with_name(f".{t.stem}.part{t.suffix}") for t in self._targets)
+        self._work = tuple(part_of(target) for target in self._targets)
         self._packet_bytes = 2 * spec.sample_count
         self._first_byte = first_packet_byte(self._packet_bytes)
         self._packets = 0

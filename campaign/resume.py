@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from campaign.atomic import check_target, put_in_place, readable_os_errors
+from campaign.atomic import check_target, put_in_place, readable_os_errors, settle_replaced
 from campaign.errors import CampaignError, WriteError
 
 try:
@@ -56,10 +56,11 @@ def resumable_folder(target: Path, task: str, replace: bool = False) -> Iterator
     check_target(target, replace)
     place = target.with_name(f".{target.name}.part")
     with readable_os_errors(target), _locked(place, target):
+        _settle(place, target, replace)
         resumed = _belongs(place, task)
-        work = Work(folder=place / _FOLDER, journal=place / _JOURNAL, resumed=resumed)
+        work = Work(folder=place / _folder_of(task), journal=place / _JOURNAL, resumed=resumed)
         if resumed:
-            _sweep(work.folder)
+            sweep(work.folder)
         else:
             _clear(place)
             work.folder.mkdir()
@@ -79,8 +80,24 @@ def _digest(task: str) -> str:
     return hashlib.sha256(task.encode()).hexdigest()
 
 
+def _folder_of(task: str) -> str:
+    """Another one for each task: who still writes for an earlier command with another configuration does not write here."""
+    return f"{_FOLDER}-{_digest(task)[:12]}"
+
+
+def _settle(place: Path, target: Path, replace: bool) -> None:
+    """A command that was killed while it replaced the target may have left it beside its place."""
+    settle_replaced(target)
+    try:
+        check_target(target, replace)  # it may be back
+    except CampaignError:
+        if not (place / _KEY).exists():
+            shutil.rmtree(place, ignore_errors=True)
+        raise
+
+
 def _belongs(place: Path, task: str) -> bool:
-    key, folder = place / _KEY, place / _FOLDER
+    key, folder = place / _KEY, place / _folder_of(task)
     if any(p.is_symlink() for p in (key, folder, place / _JOURNAL)):  # nothing that we made
         return False
     return key.is_file() and folder.is_dir() and key.read_bytes()[:64] == _digest(task).encode()
@@ -97,11 +114,11 @@ def _clear(place: Path) -> None:
             path.unlink()
 
 
-def _sweep(folder: Path) -> None:
-    """Files that were being written when the work stopped (see `complete_file`)."""
+def sweep(folder: Path) -> None:
+    """Remove files that were being written when their writer stopped (see `part_of`). One that still writes fails at its end."""
     for path in folder.rglob(".*.part*"):
         if path.is_file() and not path.is_symlink():
-            path.unlink()
+            path.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

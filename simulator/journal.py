@@ -7,8 +7,10 @@ line is in the journal, in this order, so that a power cut leaves nothing that l
 import json
 import os
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+
+from campaign.atomic import sync_file
 
 MAX_BYTES = 64_000_000
 
@@ -24,12 +26,18 @@ class Journal:
         Where finished units are noted, outside `root`; one JSON line each, appended.
     share : (k, n), optional
         This process takes every n-th unit, beginning with the k-th, and writes nothing but units.
+    check : callable, optional
+        Called before a unit is noted; raises where nobody asks for it any more.
     """
 
     def __init__(
-        self, root: Path | None = None, file: Path | None = None, share: tuple[int, int] | None = None
+        self,
+        root: Path | None = None,
+        file: Path | None = None,
+        share: tuple[int, int] | None = None,
+        check: Callable[[], object] | None = None,
     ) -> None:
-        self._root, self._file, self._share = root, file, share
+        self._root, self._file, self._share, self._check = root, file, share, check
         self._asked = 0
         self._lock = threading.Lock()
         self._known = {} if root is None or file is None else _read(root, file)
@@ -53,10 +61,11 @@ class Journal:
             return
         sizes = {}
         for path in files:
-            with path.open("rb") as file:
-                os.fsync(file.fileno())
+            sync_file(path)
             sizes[path.relative_to(self._root).as_posix()] = path.stat().st_size
         line = json.dumps({"unit": unit, "files": sizes}) + "\n"
+        if self._check is not None:
+            self._check()
         with self._lock, self._file.open("ab") as journal:
             journal.write(line.encode())
             journal.flush()

@@ -60,7 +60,8 @@ def share_on_cluster(
         cache = config.render.cache
         shared = config.render.model_copy(update={"cache": None if cache is None else os.path.abspath(cache)})
         body = config.model_copy(update={"render": shared}).model_dump_json()
-        journals = [journal.with_name(f"{journal.name}-{k}") for k in range(count)]
+        run = secrets.token_hex(4)  # who still writes for an earlier one does not write into these
+        journals = [journal.with_name(f"{journal.name}-{run}-{k}") for k in range(count)]
         with _run_of(journal, journals) as token:
             before = finished_units(folder, journal)
             futures = [
@@ -127,20 +128,22 @@ def _client(address: str) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _run_of(journal: Path, journals: list[Path]) -> Iterator[str]:
-    """A token that workers look for, and the shares' journals: begun with what is finished, put together in the end.
-
-    What a run that was killed left of them is taken over first.
-    """
+    """A token that workers look for, and the shares' journals: begun with what is finished, put together in the end."""
     place, token = journal.with_name(TOKEN), secrets.token_hex(8)
-    _gather(journal)
     for own in journals:
         own.write_bytes(journal.read_bytes() if journal.is_file() else b"")
     place.write_text(token, encoding="ascii")
     try:
         yield token
     finally:
-        place.unlink(missing_ok=True)
-        _gather(journal)
+        end_runs(journal)
+
+
+def end_runs(journal: Path) -> None:
+    """Nobody's shares are wanted any more; what they finished counts. Before a command goes on this ends the run of one that was
+    killed, whose shares may still be at work."""
+    journal.with_name(TOKEN).unlink(missing_ok=True)
+    _gather(journal)
 
 
 def _gather(journal: Path) -> None:
@@ -183,9 +186,8 @@ def make_share(
         with contextlib.suppress(TestrangeError, OSError, MemoryError, _StoppedError):
             from simulator.simulate import simulate_campaign
 
-            simulate_campaign(
-                Config.model_validate_json(config), folder, still_wanted, only, Journal(folder, journal, share=share)
-            )
+            own = Journal(folder, journal, share=share, check=still_wanted)
+            simulate_campaign(Config.model_validate_json(config), folder, still_wanted, only, own)
     return None
 
 

@@ -12,8 +12,10 @@ from pathlib import Path
 
 from campaign.config import Config
 from campaign.progress import Report, silent
+from campaign.resume import sweep
 from campaign.threads import THREADS_VARIABLE, thread_count
 from simulator.journal import Journal, finished_units
+from testrange.cluster import end_runs, share_on_cluster
 
 POLL_S = 0.5
 
@@ -43,12 +45,12 @@ def simulate_units(
     """
     from simulator.simulate import simulate_campaign
 
+    end_runs(journal)
     if scheduler is not None:
-        from testrange.cluster import share_on_cluster
-
         share_on_cluster(config, folder, journal, progress, only, scheduler, _unit_count(config, only))
     elif workers > 1:
         _share(config, folder, journal, progress, only, workers)
+    sweep(folder)  # of workers that were lost, now or when an earlier command was killed
     simulate_campaign(config, folder, progress, only, Journal(folder, journal))
 
 

@@ -71,6 +71,26 @@ def test_same_bytes_for_any_chunks_and_days(tmp_path: Path, hand: ModuleType) ->
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
+def test_two_writers_of_one_strip(tmp_path: Path, hand: ModuleType) -> None:
+    """Rationale: a worker whose command was killed may still write a strip when the next command does; one must not rename what
+    the other has half written. Expected: after either of them the three files are those of one writer alone. Tolerance: none."""
+    las, points = strip(tmp_path)
+    returns, waves = hand.write_strip(*strip(tmp_path / "alone"))
+    alone = {p.name: p.read_bytes() for p in (tmp_path / "alone").iterdir()}
+
+    def there() -> dict[str, bytes]:
+        return {p.name: p.read_bytes() for p in tmp_path.iterdir() if p.is_file() and not p.name.startswith(".")}
+
+    with StripWriter(las, points, hand.make_spec()) as orphan:
+        orphan.write(returns, waves)
+        with StripWriter(las, points, hand.make_spec()) as writer:
+            assert there() == {}
+            writer.write(returns, waves)
+        assert there() == alone
+    assert there() == alone
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*alone, "alone"])
+
+
 def test_laspy_reads_points_packets_and_crs(tmp_path: Path, hand: ModuleType) -> None:
     """Rationale: other people's reader takes the folder. Expected: laspy's values equal ours; packets found by LAS's own fields."""
     las, points = strip(tmp_path)

@@ -81,7 +81,8 @@ def test_a_scheduler_that_does_not_answer_costs_nothing(
     before is still there."""
     monkeypatch.setattr(connection, "CONNECT_S", 0.5)
     with pytest.raises(KeyboardInterrupt), resumable_folder(tmp_path / "out", "task") as work:
-        (work.folder / "made").write_text("hours")
+        made = work.folder / "made"
+        made.write_text("hours")
         raise KeyboardInterrupt
     with (
         pytest.raises(ClusterError, match="no Dask scheduler answers") as told,
@@ -89,7 +90,7 @@ def test_a_scheduler_that_does_not_answer_costs_nothing(
     ):
         simulate_units(micro(), work.folder, work.journal, no_progress, scheduler="tcp://127.0.0.1:9")
     assert "\n" not in str(told.value)
-    assert (tmp_path / ".out.part" / "folder" / "made").read_text() == "hours"
+    assert made.read_text() == "hours"
 
 
 def test_without_the_extra(micro: Callable[..., Config], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -146,6 +147,7 @@ def test_journals_of_shares_are_put_together(tmp_path: Path) -> None:
     left.write_bytes(journal.read_bytes())
     Journal(root, left).finish("b", [root / "b"])
     left.write_bytes(left.read_bytes() + b'{"unit": "c", "fi')
+    on_cluster.end_runs(journal)
     own = tmp_path / "journal-0"
     with on_cluster._run_of(journal, [own]) as token:
         assert token == (tmp_path / on_cluster.TOKEN).read_text()
@@ -157,3 +159,65 @@ def test_journals_of_shares_are_put_together(tmp_path: Path) -> None:
     lines = [line for line in journal.read_bytes().splitlines() if line.endswith(b"}}")]
     assert sorted(json.loads(line)["unit"] for line in lines) == ["a", "b", "c"]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["journal", "work"]
+
+
+@pytest.mark.parametrize("scheduler", [None, "tcp://127.0.0.1:9"])
+def test_going_on_ends_the_run_of_a_killed_command(
+    micro: Callable[..., Config], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scheduler: str | None
+) -> None:
+    """Rationale: a command that is killed cannot take its token away, and its shares go on; the command that goes on may do so
+    without a cluster. Expected: before it makes anything the shares' token is gone, what they noted counts and what they, or a
+    lost worker, had half written is removed; a unit that a share ends after that is not noted."""
+    root, journal = begin(tmp_path)
+    for name in ("a", "b", ".c.part-7-0a.tif"):
+        (root / name).write_text("x")
+    (tmp_path / on_cluster.TOKEN).write_text("token")
+    own = tmp_path / "journal-0123abcd-3"
+
+    def still_wanted() -> None:
+        if not on_cluster._is_wanted(own, "token"):
+            raise on_cluster._StoppedError
+
+    share = Journal(root, own, share=(3, 4), check=still_wanted)
+    share.finish("a", [root / "a"])
+    seen = []
+
+    def simulate(config: Config, folder: Path, progress: object, only: object, known: Journal) -> None:
+        seen.append(sorted(p.name for p in folder.iterdir()))
+        assert [known.wants(name) for name in "ab"] == [False, True]
+        with pytest.raises(on_cluster._StoppedError):
+            share.finish("b", [root / "b"])
+
+    monkeypatch.setattr("simulator.simulate.simulate_campaign", simulate)
+    monkeypatch.setattr("testrange.workers.share_on_cluster", lambda *_: None)
+    simulate_units(micro(), root, journal, no_progress, scheduler=scheduler)
+    assert seen == [["a", "b"]]
+    assert finished_units(root, journal) == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["journal", "work"]
+
+
+def test_a_share_notes_nothing_that_nobody_asks_for(
+    micro: Callable[..., Config], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: a strip takes minutes, and the run may have ended meanwhile. Expected: the share looks for its token once more
+    before it notes the strip, and ends."""
+    root, _ = begin(tmp_path)
+    (root / "strip").write_text("x")
+    steps = []
+
+    def simulate(config: Config, folder: Path, progress: Callable[..., None], only: object, journal: Journal) -> None:
+        progress("lidar", 0, 2)
+        journal.finish("first", [folder / "strip"])
+        (tmp_path / on_cluster.TOKEN).write_text("another run's")
+        steps.append("written")
+        journal.finish("second", [folder / "strip"])
+        steps.append("noted")
+
+    monkeypatch.setattr("simulator.simulate.simulate_campaign", simulate)
+    monkeypatch.setattr(on_cluster, "_threads", lambda: 1)
+    monkeypatch.setenv("TESTRANGE_THREADS", "1")
+    (tmp_path / on_cluster.TOKEN).write_text("token")
+    own = tmp_path / "journal-0"
+    assert make_share(micro().model_dump_json(), (str(root), str(own), "token"), None, (0, 2), RELEASE) is None
+    assert steps == ["written"]
+    assert finished_units(root, own) == 1
