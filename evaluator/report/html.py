@@ -100,7 +100,7 @@ def _parts(evaluation: Evaluation, score: Score | None, language: Language) -> I
         f"@font-face{{font-family:'Report SC';src:url({font_uri(characters)}) format('woff');unicode-range:{_CHINESE}}}"
     )
     for part in template.generate(content):
-        yield part.replace(_FONT_PLACE, face, 1)
+        yield str.replace(part, _FONT_PLACE, face, 1)  # a piece's own `replace` would escape it
 
 
 def write_report(path: Path, evaluation: Evaluation, score: Score | None = None, language: Language = "zh") -> None:
