@@ -106,7 +106,7 @@ def make_folder(folder: Path, to_write: bool = False) -> None:
             with tempfile.TemporaryFile(dir=folder):
                 pass
     except OSError as error:
-        if folder.is_dir() and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        if error.errno in (errno.ENOSPC, errno.EDQUOT) and folder.is_dir():
             return
         raise WriteError(
             "the folder that keeps renders cannot be written",

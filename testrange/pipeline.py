@@ -5,6 +5,7 @@ Formulas and files live in the rooms that this calls. Output folders appear comp
 
 import dataclasses
 import json
+import os
 import resource
 import shutil
 import sys
@@ -158,7 +159,7 @@ def _refuse_unsound(campaign: Path, keep_going: bool) -> list[str]:
 
 def refuse_same_place(campaign: Path, out: Path) -> None:
     """Results inside the campaign would change it; in the campaign's place, or around it, --replace would delete it."""
-    source, target = campaign.resolve(), out.resolve()
+    source, target = Path(os.path.realpath(campaign)), Path(os.path.realpath(out))  # `resolve` fails at a loop of links
     if target.is_relative_to(source) or source.is_relative_to(target):
         where = "lies inside" if target.is_relative_to(source) else "holds"
         raise CampaignError(f"{where} the campaign that is evaluated", where=str(out), remedy="choose another place")

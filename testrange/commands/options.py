@@ -62,6 +62,8 @@ Quiet = Annotated[bool, Parameter(negative="", show_default=False, help="No prog
 
 def with_cache(settings: tuple[str, ...], cache: str | None) -> tuple[str, ...]:
     """The settings, and where renders are kept."""
+    if cache is not None and any("\ud800" <= c <= "\udfff" for c in cache):
+        raise ConfigError("is not UTF-8", where="--cache", got=ascii(cache), remedy="choose another name")
     if cache == "":
         raise ConfigError("is empty", where="--cache", expected="a folder", remedy="leave it out to keep no renders")
     return settings if cache is None else (*settings, f"render.cache={json.dumps(cache, ensure_ascii=False)}")

@@ -74,7 +74,9 @@ def test_a_fault_matrix_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert [p.name for p in tmp_path.iterdir()] == ["m.toml"]
 
 
-@pytest.mark.parametrize("cache", ["/proc/foo", "/proc/foo/bar", "/dev/null", "file", "file/renders", "dangling"])
+@pytest.mark.parametrize(
+    "cache", ["/proc/foo", "/proc/foo/bar", "/dev/null", "file", "file/renders", "dangling", "loop", "n" * 300]
+)
 def test_a_cache_that_cannot_be_made(tmp_path: Path, capsys: pytest.CaptureFixture[str], cache: str) -> None:
     """Rationale: the message named a path alone, and an empty folder of begun work was left. Expected: it says whose folder it is
     and what to do, and nothing is left."""
@@ -82,10 +84,11 @@ def test_a_cache_that_cannot_be_made(tmp_path: Path, capsys: pytest.CaptureFixtu
         pytest.skip("no /proc here")
     (tmp_path / "file").write_text("x")
     (tmp_path / "dangling").symlink_to("nowhere")
+    (tmp_path / "loop").symlink_to("loop")
     for line in simulate_and_run("--out", "out", "--cache", cache):
         told = refusal(line, capsys)
         assert cache in told and "folder that keeps renders" in told and "choose another" in told
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["dangling", "file"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["dangling", "file", "loop"]
 
 
 def test_a_cache_that_is_full_is_used_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,6 +112,8 @@ def test_an_empty_cache(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     command line and in a configuration; nothing is written."""
     for line in simulate_and_run("--out", "out", "--cache", ""):
         assert "--cache: is empty" in refusal(line, capsys)
+    for line in simulate_and_run("--out", "out", "--cache", "a\udcff"):
+        assert "--cache: is not UTF-8" in refusal(line, capsys)
     for text in ("", "\\u0000"):
         for line in simulate_and_run("--out", "out", "--set", f'render.cache="{text}"'):
             assert "render.cache: got" in refusal(line, capsys)
@@ -194,3 +199,16 @@ def test_what_is_right_begins(tmp_path: Path, capsys: pytest.CaptureFixture[str]
             assert "the simulation has begun" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["renders"]
     assert list((tmp_path / "renders").iterdir()) == []
+
+
+def test_a_loop_of_links_is_no_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Expected: one line, by `evaluate` too, which compares places before it looks at the folder."""
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "campaign").mkdir()
+    (tmp_path / "campaign" / "manifest.json").write_text("{}")
+    for line in (
+        *simulate_and_run("--out", "loop", "--cache", "c"),
+        ["evaluate", "campaign", "--quiet", "--out", "loop"],
+    ):
+        refusal(line, capsys)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["campaign", "loop"]
