@@ -4,8 +4,10 @@ import hashlib
 import json
 import os
 import signal
+import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from simulator.journal import Journal, finished_units
 from simulator.release import release
 from testrange import cluster as on_cluster
 from testrange.cluster import ClusterError, make_share
+from testrange.pipeline import simulate
 from testrange.progress import no_progress
 from testrange.study.execution import cluster as connection
 from testrange.workers import simulate_units
@@ -72,6 +75,49 @@ def test_a_cluster_writes_the_same_campaign(
     assert max(made[:-1]) >= 10
     assert digests(folder) == digests(micro_campaign)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["journal", "work"]
+
+
+KILLED = """
+import pathlib, sys
+from campaign.config import Config
+from testrange.pipeline import simulate
+config = Config.model_validate_json(pathlib.Path(sys.argv[1]).read_bytes())
+simulate(config, pathlib.Path(sys.argv[2]), lambda *_: None, scheduler=sys.argv[3])
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_command_leaves_its_shares_at_work(
+    micro_campaign: Path, micro: Callable[..., Config], tmp_path: Path, cluster: Any
+) -> None:
+    """Rationale: Dask's workers outlive the command that is killed, and write the files that the next one writes without them.
+
+    Expected: the command that goes on while they are at work counts what they noted, and ends with the bytes of an undisturbed
+    one; when the workers have nothing to do any more nothing but the campaign is there. Tolerance: none, bytes.
+    """
+    out, body = tmp_path / "campaign", tmp_path / "micro.json"
+    body.write_text(micro().model_dump_json())
+    place = tmp_path / ".campaign.part"
+    command = subprocess.Popen([sys.executable, "-c", KILLED, str(body), str(out), cluster.scheduler_address])
+    try:
+        while command.poll() is None and sum(finished_units(*j) for j in noted(place)) < 20:
+            time.sleep(0.05)
+    finally:
+        command.kill()
+        assert command.wait() == -signal.SIGKILL
+    assert (place / on_cluster.TOKEN).is_file()
+    simulate(micro(), out, no_progress)
+    assert digests(out) == digests(micro_campaign)
+    with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
+        while any(client.processing().values()):
+            time.sleep(0.05)
+    assert digests(out) == digests(micro_campaign)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["campaign", "micro.json"]
+
+
+def noted(place: Path) -> list[tuple[Path, Path]]:
+    """The folder in the making with each journal of a share."""
+    return [(folder, own) for folder in place.glob("folder-*") for own in place.glob("journal-*")]
 
 
 def test_a_scheduler_that_does_not_answer_costs_nothing(
