@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from campaign.config import Site
 from campaign.errors import ConfigError
 from simulator.flight.frames import SiteFrame
-from simulator.flight.georeference import MapPatch, beams_world
+from simulator.flight.georeference import MapPatch, Track, beams_world
 from simulator.flight.motion import Motion, SensorMounting
 from simulator.lidar.footprint import gaussian_footprint
 from simulator.lidar.radar_equation import extinction_per_km, unambiguous_range_m
@@ -47,6 +47,39 @@ def test_beams_equal_the_matrices_of_the_frames(angles: list[float], numbers: li
     world_from_body = motion.world_from_body(time)
     assert np.allclose(direction, np.einsum("nij,jk,nk->ni", world_from_body, mounting.rotation, beam), atol=1e-12)
     assert np.allclose(origin, motion.position(time) + world_from_body @ mounting.lever_arm_m, atol=1e-12)
+
+
+def test_beams_do_not_depend_on_their_company() -> None:
+    """Rationale: pulses between two samples of the motion are worked on together, and a strip takes only its part of the motion.
+    Expected: the bytes of every pulse alone and in any order, with the whole motion or a part; before the first sample its pose,
+    after the last one the last. Tolerance: none; against the matrices rounding, 1e-12."""
+    rng = np.random.default_rng(3)
+    sample_s = np.sort(rng.uniform(0.0, 10.0, 50))
+    motion = Motion(
+        gps_time_s=sample_s,
+        position_world_m=rng.normal(size=(50, 3)),
+        velocity_world_m_s=np.zeros((50, 3)),
+        rpy_rad=np.cumsum(rng.normal(scale=0.02, size=(50, 3)), axis=0),
+    )
+    mounting = SensorMounting(rotation=np.eye(3), lever_arm_m=np.array([0.1, -0.2, 0.3]))
+    time = np.concatenate([rng.uniform(2.0, 3.0, 700), sample_s[(sample_s > 2.0) & (sample_s < 3.0)], [2.0, 3.0]])
+    beam = rng.normal(size=(len(time), 3))
+    whole = Track(motion).beams(time, mounting, beam)
+    part = Track(motion, 2.0, 3.0).beams(time, mounting, beam)
+    order = np.argsort(time)
+    sorted_by_time = Track(motion).beams(time[order], mounting, beam[order])
+    alone = Track(motion).beams(time[:1], mounting, beam[:1])
+    for k in range(2):
+        assert np.array_equal(whole[k], part[k])
+        assert np.array_equal(whole[k][order], sorted_by_time[k])
+        assert np.array_equal(whole[k][:1], alone[k])
+    assert np.allclose(whole[1], np.einsum("nij,nj->ni", motion.world_from_body(time), beam), atol=1e-12)
+    assert np.allclose(
+        whole[0], motion.position(time) + motion.world_from_body(time) @ mounting.lever_arm_m, atol=1e-12
+    )
+    ends = Track(motion).beams(np.array([-1.0, sample_s[0], sample_s[-1], 11.0]), mounting, beam[:1].repeat(4, axis=0))
+    assert np.allclose(ends[1][0], ends[1][1], atol=1e-14)
+    assert np.allclose(ends[1][2], ends[1][3], atol=1e-14)
 
 
 def test_extinction_has_kim_s_values() -> None:
