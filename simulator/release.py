@@ -5,21 +5,25 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-_PACKAGES = ("campaign", "scenes", "simulator")
+SIMULATION = ("campaign", "scenes", "simulator")
 _LIBRARIES = ("numpy", "scipy", "numba", "mitsuba", "drjit")  # whose numbers reach the files
 
 
-@cache
 def release() -> str:
     """The version, a digest of every source and data file that a simulation uses, and the versions of its libraries.
 
     The version alone stays the same between two releases while the code, and with it a picture, changes.
     """
-    digest = hashlib.sha256()
-    root = Path(__file__).parents[1]
-    for package in _PACKAGES:
+    libraries = " ".join(f"{name} {version(name)}" for name in _LIBRARIES)
+    return f"{version('testrange')} {sources(SIMULATION)} {libraries}"
+
+
+@cache
+def sources(packages: tuple[str, ...]) -> str:
+    """Digest of the sources and data files of packages beside this one."""
+    digest, root = hashlib.sha256(), Path(__file__).parents[1]
+    for package in packages:
         for path in sorted((root / package).rglob("*")):
             if path.is_file() and "__pycache__" not in path.parts:
                 digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    libraries = " ".join(f"{name} {version(name)}" for name in _LIBRARIES)
-    return f"{version('testrange')} {digest.hexdigest()[:16]} {libraries}"
+    return digest.hexdigest()[:16]

@@ -156,7 +156,7 @@ def _point(
         id=_hash(
             body,
             settings if body is None else None,
-            code,
+            code if body is None else [code, versions()["code"]],
             factors if body is None else None,
             seed,
             study.responses,

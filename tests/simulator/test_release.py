@@ -19,7 +19,7 @@ def test_an_edited_source_is_another_release(tmp_path: Path, monkeypatch: pytest
     names = []
 
     def note() -> None:
-        release.release.cache_clear()
+        release.sources.cache_clear()
         names.append(release.release())
 
     note()
@@ -31,7 +31,7 @@ def test_an_edited_source_is_another_release(tmp_path: Path, monkeypatch: pytest
     data.write_text("400,0.5\n", encoding="utf-8")
     note()
     monkeypatch.undo()
-    release.release.cache_clear()
+    release.sources.cache_clear()
     assert names[0] == names[1]
     assert len(set(names)) == 3
     assert release.release() not in names

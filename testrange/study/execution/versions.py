@@ -4,9 +4,12 @@ import sys
 from functools import cache
 from importlib.metadata import version
 
+from simulator.release import SIMULATION, sources
+
 
 @cache
 def versions() -> dict[str, str]:
     """Of everything that a result depends on."""
     names = ("testrange", "mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless")
-    return {name: version(name) for name in names} | {"python": ".".join(map(str, sys.version_info[:3]))}
+    python, code = ".".join(map(str, sys.version_info[:3])), sources((*SIMULATION, "evaluator"))
+    return {name: version(name) for name in names} | {"python": python, "code": code}
