@@ -2,6 +2,8 @@
 
 import hashlib
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
@@ -10,6 +12,8 @@ from pydantic import Field
 from campaign.config import Model
 from campaign.errors import CampaignError
 from campaign.formats.text import read_model, write_model
+from campaign.progress import Report, silent
+from campaign.threads import thread_count
 
 NAME = "manifest.json"
 TRUTH = "truth"
@@ -42,9 +46,9 @@ class Manifest(Model):
     files: tuple[ManifestFile, ...]
 
 
-def write_manifest(root: Path, manifest: Manifest) -> None:
+def write_manifest(root: Path, manifest: Manifest, progress: Report = silent) -> None:
     """Fills `files` from disk (all but manifest.json and truth/, sorted) and writes manifest.json."""
-    write_model(root / NAME, manifest.model_copy(update={"files": list_files(root)}))
+    write_model(root / NAME, manifest.model_copy(update={"files": list_files(root, progress)}))
 
 
 def read_manifest(root: Path) -> Manifest:
@@ -64,9 +68,16 @@ def verify_files(root: Path, manifest: Manifest, *, checksums: bool = True) -> l
     return compare_files(root, manifest.files, _campaign_files(root), checksums=checksums)
 
 
-def list_files(root: Path) -> tuple[ManifestFile, ...]:
+def list_files(root: Path, progress: Report = silent) -> tuple[ManifestFile, ...]:
     """Every file of a campaign but manifest.json and truth/, sorted by path."""
-    return tuple(_entry(root, path) for path in _campaign_files(root))
+    names = _campaign_files(root)
+    entries: list[ManifestFile] = []
+    with ThreadPoolExecutor(thread_count()) as pool:
+        for entry in pool.map(partial(_entry, root), names):
+            progress("checksums", len(entries), len(names))
+            entries.append(entry)
+    progress("checksums", len(names), len(names))
+    return tuple(entries)
 
 
 def sha256(path: Path) -> str:

@@ -79,7 +79,7 @@ def simulate_campaign(
     if journal.shares:
         return
     record_truth.write(config, scene, motions, SiteFrame(config.site), out, bench, ranging)
-    _write_manifest(config, start_s, out)
+    _write_manifest(config, start_s, out, progress)
 
 
 def _refuse_early(config: Config, parts: frozenset[str]) -> None:
@@ -187,7 +187,7 @@ def _write_trajectory(world: Range, folder: SortieFolder, estimated: Motion, sor
     trajectory.write_csv(folder.trajectory_csv, written)
 
 
-def _write_manifest(config: Config, start_s: float, out: Path) -> None:
+def _write_manifest(config: Config, start_s: float, out: Path, progress: Report) -> None:
     site = config.site
     start = utc_from_gps_time(start_s - SETTLE_S).astimezone(BEIJING)
     manifest.write_manifest(
@@ -208,4 +208,5 @@ def _write_manifest(config: Config, start_s: float, out: Path) -> None:
             software={name: version(name) for name in SOFTWARE},
             files=(),
         ),
+        progress,
     )
