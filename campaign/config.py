@@ -238,6 +238,9 @@ class Lidar(Model):
     stated_precision_m: Positive = 0.005
     stated_accuracy_m: Positive = 0.010
     encoder_std_deg: NonNegative = 0.001
+    response_constant_std: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        0.03, description="relative; of the response constant that the laboratory states in sensors/lidar.json"
+    )
 
 
 class Mounting(Model):

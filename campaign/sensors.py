@@ -64,6 +64,12 @@ class LidarSheet(Model):
     min_range_m: Annotated[float, Field(ge=0.0, le=10_000.0)]
     max_returns: Annotated[int, Field(ge=1, le=15)]
     amplitude_unit: Literal["linear", "db"] = "linear"
+    response_constant_dn_m2: Annotated[float, Field(gt=0.0, le=1e18)] | None = Field(
+        None,
+        description="of the laboratory: waveform's peak above the baseline times range squared over reflectance and cosine of"
+        " incidence, on a diffuse white standard; null: not stated",
+    )
+    response_constant_std: Annotated[float, Field(ge=0.0, le=1.0)] = Field(0.03, description="relative")
 
 
 class MountingSheet(Model):

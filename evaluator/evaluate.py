@@ -32,6 +32,7 @@ from evaluator.conformity.observed import observed_inputs
 from evaluator.coverage import targets_outside_images, targets_outside_strips
 from evaluator.frames import WorldFrame
 from evaluator.georeference import TargetReturns, collect_target_returns, nominal_mountings
+from evaluator.lidar_response import lidar_response
 from evaluator.load import in_folder
 from evaluator.load import load_campaign as read_campaign
 from evaluator.model import CampaignData, EvaluationError, MarkObservation, Mounting, SortieData
@@ -192,6 +193,7 @@ def evaluate_with(root: Path, progress: Report, tools: Tools, log: Log, *, stric
             certificate,
             benches.ranging,
             benches.photon_transfer,
+            lidar_response(lidar_panels, data.spectra, data.lidar),
         ),
         survey_doubts=suspects(
             (*(solution.rejected if solution else ()), *boards.get("rejected", ())),

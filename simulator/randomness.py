@@ -22,6 +22,7 @@ class Stream(IntEnum):
     SPHERE = 14
     CHESSBOARD = 15
     RANGING = 16
+    RESPONSE = 17
 
 
 def scene_seed(config: Config) -> int:

@@ -1,6 +1,7 @@
 """What deviates from what was stated: one row for each parameter that the campaign determines, with its z.
 
-Stated are the drawing's mountings and synchronisation (rig.json), the lens certificate, a range without error, the logged gain.
+Stated are the drawing's mountings and synchronisation (rig.json), the lens certificate, a range without error, the logged gain,
+the LiDAR's response constant.
 A deviation is told when |z| passes the limit for the whole table, Phi^-1(1 - 0.005/m) for m rows. Which target the survey
 puts wrong is told by the adjustment's rejected observations; they stand beside.
 """
@@ -15,6 +16,7 @@ from campaign.sensors import Calibration
 from evaluator.benches.bench_model import ChessboardResult, RangingResult
 from evaluator.benches.photon_transfer import PhotonTransfer
 from evaluator.camera_model import LENS_NAMES, lens_vector
+from evaluator.lidar_response import LidarResponse
 from evaluator.model import MountingSolution
 
 _FAMILY = 0.005
@@ -54,6 +56,7 @@ def deviations(
     certificate: Calibration | None,
     ranging: RangingResult | None,
     transfer: PhotonTransfer | None,
+    response: LidarResponse | None = None,
 ) -> tuple[Deviation, ...]:
     """Every parameter that the campaign determines; parts that are absent give no row."""
     rows: list[Deviation] = []
@@ -78,6 +81,8 @@ def deviations(
     if transfer is not None and transfer.stated_e_per_dn:
         ratio = transfer.stated_e_per_dn / transfer.gain_e_per_dn
         rows.append(_row("camera_gain", "", 1.0, ratio, ratio * transfer.std_e_per_dn / transfer.gain_e_per_dn))
+    if response is not None:
+        rows.append(_row("lidar_gain", "", 1.0, response.gain, response.gain_std))
     return tuple(rows)
 
 

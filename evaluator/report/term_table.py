@@ -8,6 +8,7 @@ NAMES: dict[str, tuple[str, str]] = {
     "camera_clock": ("相机时钟偏差", "camera clock"),
     "lidar_clock": ("激光雷达时钟偏差", "LiDAR clock"),
     "camera_gain": ("相机增益（与记录之比）", "camera gain (over the logged one)"),
+    "lidar_gain": ("激光雷达增益（与检定值之比）", "LiDAR gain (over the certified one)"),
     "ranging_additive_constant": ("测距加常数 K₂", "ranging additive constant K₂"),
     "ranging_multiplication_constant": ("测距乘常数 R₂", "ranging multiplication constant R₂"),
     "lamp_drift": ("光源漂移", "lamp drift"),

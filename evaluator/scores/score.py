@@ -9,6 +9,8 @@ lidar_ranging_rmse_relative  `additive_constant_m`, `additive_constant_std_m`, `
                              `multiplication_constant_std`
 camera_stability             `trend_percent_per_h`, `trend_std_percent_per_h`
 
+and of the block `diagnosis` the rows of the gains, which stand nowhere else.
+
 Whatever is absent, in the results or in truth/, has no item.
 """
 
@@ -32,6 +34,7 @@ from evaluator.results import CAMERA_FROM_LIDAR, plain, read_results, write_json
 
 _AXES = ("roll", "pitch", "yaw"), ("x", "y", "z")
 _LENS_QUANTITIES = tuple(f"camera_{name}" for name in LENS_NAMES)
+_GAINS = ("camera_gain", "lidar_gain")
 _MAP_STEPS = 48  # points of the distortion's map along the image's longer side
 
 
@@ -84,7 +87,7 @@ def true_values(truth: Truth, rig: Rig | None) -> dict[str, float]:
     dict
         Quantity -> value in the unit of its estimate.
     """
-    values: dict[str, float] = {}
+    values = {"camera_gain": truth.camera_gain, "lidar_gain": truth.lidar_gain}
     if truth.bench is not None and truth.bench.lens is not None:
         values |= dict(zip(_LENS_QUANTITIES, lens_vector(truth.bench.lens).tolist()))
     if truth.bench is not None and truth.bench.drift_percent_per_h is not None:
@@ -179,6 +182,20 @@ def _bench_estimates(results: dict[str, Any], where: str) -> dict[str, tuple[str
             }
             found |= _estimates(block, f"{where}: {indicator}")
     return found
+
+
+def _gain_estimates(results: dict[str, Any], where: str) -> dict[str, tuple[str, float, float]]:
+    """Quantity -> unit, estimate, standard deviation of the gains, over what was stated of them."""
+    block = results.get("diagnosis")
+    rows = block.get("rows") if isinstance(block, dict) else None
+    gains = [r for r in rows if isinstance(r, dict) and r.get("quantity") in _GAINS] if isinstance(rows, list) else []
+    columns = {
+        "names": [r["quantity"] for r in gains],
+        "units": ["1"] * len(gains),
+        "estimates": [r.get("estimate") for r in gains],
+        "std": [r.get("std") for r in gains],
+    }
+    return _estimates(columns, f"{where}: diagnosis")
 
 
 def distortion_error(
@@ -291,7 +308,7 @@ def score_items(results: dict[str, Any], truth: dict[str, float], where: str) ->
         found |= by_boards
     found |= {f"boards_{name}": value for name, value in by_boards.items()}
     truth = truth | {f"boards_{name}": truth[name] for name in by_boards if name in truth}
-    found |= _bench_estimates(results, where)
+    found |= _bench_estimates(results, where) | _gain_estimates(results, where)
     items = []
     for name, (unit, estimate, std) in found.items():
         if name in truth:

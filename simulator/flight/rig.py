@@ -5,9 +5,11 @@ import numpy as np
 from campaign.config import Camera, Config, Faults, Lens, Lidar, Mounting, Vector3
 from campaign.sensors import Calibration, CameraSheet, LidarSheet, MountingSheet, NavigationSheet, Rig
 from campaign.truth import TrueMounting
+from scenes.spectra import material
 from simulator.flight.frames import FRD_FROM_RDF_NADIR, rotation_from_rpy
 from simulator.flight.motion import SensorMounting
 from simulator.flight.navigation import navigation_std
+from simulator.lidar.response import response_constant_dn_m2
 from simulator.randomness import Stream, generator
 
 LENS_PARAMETERS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
@@ -97,6 +99,15 @@ def camera_sheet(config: Config) -> CameraSheet:
     )
 
 
+def stated_response(config: Config) -> float:
+    """Of the laboratory's sheet: the device without its faults on a PTFE standard, with the laboratory's error. [DN m2]"""
+    lidar = config.lidar
+    standard = 1.0 + material("ptfe").opposition_gain
+    draw = generator(config.seed, Stream.RESPONSE).standard_normal()
+    error = float(np.exp(lidar.response_constant_std * draw))
+    return float(f"{response_constant_dn_m2(lidar) * standard * error:.6g}")
+
+
 def lidar_sheet(config: Config) -> LidarSheet:
     c: Lidar = config.lidar
     return LidarSheet(
@@ -118,6 +129,8 @@ def lidar_sheet(config: Config) -> LidarSheet:
         encoder_std_deg=c.encoder_std_deg,
         min_range_m=c.min_range_m,
         max_returns=c.max_returns,
+        response_constant_dn_m2=stated_response(config),
+        response_constant_std=c.response_constant_std,
     )
 
 

@@ -79,11 +79,6 @@ def detector_from(lidar: Lidar) -> Detector:
     )
 
 
-def dn_per_w(lidar: Lidar) -> float:
-    """Steps per watt of optical power: full-scale power reaches the last step from the baseline. [DN/W]"""
-    return ((1 << lidar.bit_depth) - 1 - lidar.baseline_dn) / (lidar.full_scale_power_nw * 1e-9)
-
-
 def pulse_normals(key: np.uint64, first: int, count: int, samples: int) -> np.ndarray:
     """(3, count) standard normal float32 of pulses first, first + 1, ... beside their `samples` samples' own."""
     out = np.empty((PULSE_DEVIATES, count), np.float32)

@@ -25,16 +25,16 @@ from scenes.spectra import reflectance_at
 from simulator.flight.frames import SiteFrame
 from simulator.flight.georeference import MapPatch, Track
 from simulator.flight.motion import Motion, SensorMounting, Strip
-from simulator.lidar.device import Device, dn_per_w, pulse_normals
+from simulator.lidar.device import Device, pulse_normals
 from simulator.lidar.footprint import Optics, gaussian_footprint
 from simulator.lidar.radar_equation import (
     FWHM_PER_SIGMA,
     SPEED_OF_LIGHT_M_S,
     echo_fwhm_ns,
     extinction_per_km,
-    peak_power_w,
     unambiguous_range_m,
 )
+from simulator.lidar.response import response_constant_dn_m2
 from simulator.lidar.scanner import scanner_from
 from simulator.pulses.caster import Caster
 from simulator.pulses.rows import attributes, finish, inside, place, select
@@ -67,20 +67,15 @@ class Chart(Protocol):
 
 
 def optics_from(lidar: Lidar, visibility_km: float) -> Optics:
-    """What the ray tracer needs to know of device and air.
-
-    The receiver lowers a pulse's peak and keeps its energy, hence the ratio of the two widths.
-    """
-    echo_ns = echo_fwhm_ns(lidar.pulse_fwhm_ns, lidar.receiver_fwhm_ns)
-    peak_w = peak_power_w(lidar.pulse_energy_uj * 1e-6, lidar.pulse_fwhm_ns * 1e-9) * lidar.pulse_fwhm_ns / echo_ns
-    sigma_ns = echo_ns / FWHM_PER_SIGMA
+    """What the ray tracer needs to know of device and air."""
+    sigma_ns = echo_fwhm_ns(lidar.pulse_fwhm_ns, lidar.receiver_fwhm_ns) / FWHM_PER_SIGMA
     return Optics(
         footprint=gaussian_footprint(lidar.subrays, lidar.divergence_rad),
         echo_sigma_ns=sigma_ns,
         sampling_ns=lidar.sampling_ns,
         samples=lidar.samples,
         pre_samples=min(int(np.ceil(6.0 * sigma_ns / lidar.sampling_ns)), lidar.samples // 4),
-        scale_dn_m2=dn_per_w(lidar) * peak_w * lidar.aperture_diameter_m**2 * lidar.system_efficiency / 4.0,
+        scale_dn_m2=response_constant_dn_m2(lidar),
         extinction_per_m=extinction_per_km(lidar.wavelength_nm * 1e-3, visibility_km) * 1e-3,
     )
 

@@ -18,8 +18,9 @@ from scenes.spectra import reflectance_at
 from simulator.flight import rig
 from simulator.flight.georeference import MapPatch, beams_world
 from simulator.flight.motion import Motion, Strip
-from simulator.lidar.device import detector_from, digitiser_from, dn_per_w
-from simulator.lidar.radar_equation import echo_fwhm_ns, extinction_per_km, peak_power_w
+from simulator.lidar.device import detector_from, digitiser_from
+from simulator.lidar.radar_equation import extinction_per_km
+from simulator.lidar.response import response_constant_dn_m2
 from simulator.lidar.scanner import TurningScanner, scanner_from
 from simulator.randomness import scene_seed
 from testrange.plan.rehearsal import Rehearsal
@@ -230,9 +231,7 @@ class _Surfaces:
 def _amplitude_dn(rehearsal: Rehearsal, range_m: np.ndarray, reflectance: np.ndarray, cosine: np.ndarray) -> np.ndarray:
     """Expected peak above the baseline, of a beam that falls on one surface. [DN]"""
     lidar = rehearsal.config.lidar
-    echo_ns = echo_fwhm_ns(lidar.pulse_fwhm_ns, lidar.receiver_fwhm_ns)
-    peak_w = peak_power_w(lidar.pulse_energy_uj * 1e-6, lidar.pulse_fwhm_ns * 1e-9) * lidar.pulse_fwhm_ns / echo_ns
-    scale = dn_per_w(lidar) * peak_w * lidar.aperture_diameter_m**2 * lidar.system_efficiency / 4.0
+    scale = response_constant_dn_m2(lidar)
     fade = extinction_per_km(lidar.wavelength_nm * 1e-3, rehearsal.config.environment.visibility_km) * 1e-3
     gain = rehearsal.config.faults.lidar_gain
     return np.asarray(gain * scale * reflectance * cosine * np.exp(-2.0 * fade * range_m) / range_m**2)

@@ -8,7 +8,6 @@ import pytest
 
 from campaign.config import Lidar
 from scenes.model import Layout, Material, Mesh, Scene
-from simulator.lidar.device import dn_per_w
 from simulator.lidar.footprint import gaussian_footprint
 from simulator.lidar.radar_equation import (
     SPEED_OF_LIGHT_M_S,
@@ -17,6 +16,7 @@ from simulator.lidar.radar_equation import (
     received_power_w,
     two_way_transmission,
 )
+from simulator.lidar.response import dn_per_w
 from simulator.lidar.strip import optics_from
 from simulator.render.scene import load_scene
 from simulator.render.waveforms import NO_HIT, Beams, Echoes, Tracer
