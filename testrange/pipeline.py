@@ -29,7 +29,8 @@ from testrange.workers import simulate_units
 
 if TYPE_CHECKING:
     from testrange.export import Format
-    from testrange.faults import FaultMatrix, FaultStudy
+    from testrange.faults.matrix import FaultMatrix
+    from testrange.faults.study import FaultStudy
 
 KEEP_GOING = "testrange evaluate --keep-going"
 
@@ -364,15 +365,26 @@ def record(place: Path, out: Path, progress: ProgressCallback) -> list[str]:
 
 
 def faults(
-    study: "FaultStudy", out: Path, progress: ProgressCallback, settings: Sequence[str] = (), *, replace: bool = False
+    study: "FaultStudy",
+    out: Path,
+    progress: ProgressCallback,
+    settings: Sequence[str] = (),
+    *,
+    replace: bool = False,
+    workers: int | None = None,
 ) -> "FaultMatrix":
-    """Runs a fault matrix into `out`: matrix.json, and NN/results.json of every case."""
-    from campaign.load import load_config
+    """Runs a fault matrix into `out`: matrix.json, its drawing, and NN/results.json of every case. What an interrupted call had
+    evaluated is not evaluated again."""
     from evaluator.results import write_json
-    from testrange.faults import matrix_block, run_matrix
+    from testrange.faults.matrix import configurations, matrix_block, run_matrix
+    from testrange.faults.picture import draw_matrix
+    from testrange.study.report.figures import write_figure
 
-    refuse_at_once(load_config(study.base, (*study.set, *settings)), out, replace=replace)
-    with complete_folder(out, replace) as work:
-        matrix = run_matrix(study, work, progress, settings)
-        write_json(work / "matrix.json", matrix_block(matrix))
+    base, configs = configurations(study, settings)
+    refuse_at_once(base, out, replace=replace, workers=workers)
+    task = json.dumps([_task(base, "faults"), [_task(config) for config in configs]])
+    with resumable_folder(out, task, replace) as work:
+        matrix = run_matrix(study, base, configs, work.folder, work.journal.with_name("work"), progress, workers)
+        write_json(work.folder / "matrix.json", matrix_block(matrix))
+        write_figure(work.folder / "matrix", draw_matrix(matrix))
     return matrix

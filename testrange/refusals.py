@@ -22,6 +22,7 @@ def refuse_at_once(
     CampaignError
         `out` is occupied, or the cache cannot be written.
     """
+    refuse_workers(workers)
     refuse_scheduler(scheduler, workers)
     target = Path(os.path.abspath(out))
     check_target(target, replace)
@@ -30,6 +31,12 @@ def refuse_at_once(
 
         refuse_cache_in(Path(config.render.cache), target)
         make_folder(Path(config.render.cache), to_write=True)
+
+
+def refuse_workers(workers: int | None) -> None:
+    """At least one."""
+    if workers is not None and workers < 1:
+        raise ConfigError("is no number of workers", where=f"--workers {workers}", expected="1 or more")
 
 
 def refuse_scheduler(scheduler: str | None, workers: int | None) -> None:

@@ -16,7 +16,7 @@ from evaluator.results import Evaluation, shown_decimals
 from evaluator.scores.score import Score, decimals
 
 if TYPE_CHECKING:
-    from testrange.faults import FaultMatrix
+    from testrange.faults.matrix import FaultMatrix
 
 WIDTH = 100
 _COLOUR: dict[Grade, str] = {

@@ -25,7 +25,7 @@ from testrange.family.design import designed
 from testrange.family.edits import edit_records
 from testrange.family.knobs import group_config
 from testrange.family.model import INDEX, SCHEMA, Family, Member
-from testrange.faults import REACHES
+from testrange.faults.cases import REACHES
 from testrange.pairs.write import compute_pairs, write_pairs
 
 WORK = ".work"

@@ -18,6 +18,7 @@ from campaign.progress import Report, silent
 from campaign.threads import thread_count
 from evaluator.results import plain
 from simulator.kept import kept_bytes
+from testrange.refusals import refuse_workers
 from testrange.study.effects import Effects, analyse
 from testrange.study.execution import store
 from testrange.study.execution.callables import resolve
@@ -99,8 +100,7 @@ def run_study(
         `out` holds something else, or another call is at work in it.
     """
     part = None if shard is None else parse_shard(shard)
-    if workers is not None and workers < 1:
-        raise ConfigError("is no number of workers", where=f"--workers {workers}", expected="1 or more")
+    refuse_workers(workers)
     study, file = load_study(source, tuple(settings))
     if study.callable is None:
         for name in study.responses:

@@ -20,7 +20,7 @@ def nothing_begins(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         raise AssertionError("the simulation has begun")
 
     monkeypatch.setattr(pipeline, "simulate_units", begins)
-    monkeypatch.setattr("testrange.faults.run_matrix", begins)
+    monkeypatch.setattr("testrange.faults.matrix.run_matrix", begins)
     monkeypatch.chdir(tmp_path)
 
 

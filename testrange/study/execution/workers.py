@@ -4,6 +4,7 @@ A process of its own for each worker, not a pool of the standard library: there 
 """
 
 import contextlib
+import importlib
 import multiprocessing
 import os
 import signal
@@ -18,16 +19,17 @@ from campaign.threads import THREADS_VARIABLE
 from testrange.study.execution.schedule import Outcome, Task
 
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", THREADS_VARIABLE)
+RUN_POINT = "testrange.study.execution.point:run_point"
 _SPAWN = multiprocessing.get_context("spawn")  # a forked copy of a renderer's threads does not run
 
 
 class _Worker:
     """A process and what it is doing."""
 
-    def __init__(self) -> None:
+    def __init__(self, run: str) -> None:
         self.pipe, other = _SPAWN.Pipe()
         with _one_thread_for_children():
-            self.process = _SPAWN.Process(target=_work, args=(other,), daemon=True)
+            self.process = _SPAWN.Process(target=_work, args=(other, run), daemon=True)
             self.process.start()
         other.close()
         self.task_id: str | None = None
@@ -50,10 +52,18 @@ class _Worker:
 
 
 class Pool:
-    """As many workers as asked for, started when there is work for them. Implements `schedule.Places`."""
+    """As many workers as asked for, started when there is work for them. Implements `schedule.Places`.
 
-    def __init__(self, count: int) -> None:
+    Parameters
+    ----------
+    count : int
+    run : str
+        MODULE:FUNCTION that makes an outcome of a task and never raises.
+    """
+
+    def __init__(self, count: int, run: str = RUN_POINT) -> None:
         self._count = count
+        self._run = run
         self._workers: list[_Worker] = []
 
     def __enter__(self) -> "Pool":
@@ -69,7 +79,7 @@ class Pool:
     def give(self, task: Task) -> None:
         idle = next((w for w in self._workers if w.task_id is None), None)
         if idle is None:
-            idle = _Worker()
+            idle = _Worker(self._run)
             self._workers.append(idle)
         idle.give(task)
 
@@ -102,21 +112,21 @@ def _one_thread_for_children() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _work(pipe: Connection) -> None:
+def _work(pipe: Connection, run: str) -> None:
     """A worker's life: tasks in, outcomes out, until the study closes the pipe or ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the study's: it ends its workers
     os.dup2(2, 1)  # what libraries print is no output of the command
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    from testrange.study.execution.point import run_point
-
+    module, function = run.split(":")
+    run_task = getattr(importlib.import_module(module), function)
     while True:
         try:
             task: dict[str, Any] = pipe.recv()
         except (EOFError, OSError):
             return
-        pipe.send(run_point(task))
+        pipe.send(run_task(task))
 
 
 def _end_with_parent() -> None:
