@@ -1,16 +1,19 @@
 """A campaign folder written by hand: one sortie, one strip, two images. Numbers are arbitrary but consistent."""
 
+import dataclasses
+import struct
 import sys
 from pathlib import Path
 from types import ModuleType
 
+import laspy
 import numpy as np
 import pytest
 
 from campaign.config import Band, Lens
 from campaign.folder import CampaignFolder
 from campaign.images import ImageTags, write_image, write_preview
-from campaign.las import LasSpec, Returns, StripWriter
+from campaign.las import LasSpec, Returns, StripReader, StripWriter
 from campaign.manifest import Manifest, write_manifest
 from campaign.records import (
     EnvironmentRow,
@@ -35,6 +38,63 @@ LENS = Lens(fx_px=100.0, fy_px=100.0, cx_px=48.0, cy_px=32.0, k1=-0.05)
 def hand() -> ModuleType:
     """This module: its functions make the parts of a campaign."""
     return sys.modules[__name__]
+
+
+def read_strip(path: Path, size: int = 1_000_000, **options: object) -> Returns:
+    parts = [r for _, r in StripReader(path, **options).chunks(size)]  # type: ignore[arg-type]
+    return Returns(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in dataclasses.fields(Returns)})
+
+
+def strip_paths(tmp_path: Path) -> tuple[Path, Path]:
+    return tmp_path / "strip_01.las", tmp_path / "strip_01_points.laz"
+
+
+def wave_file(
+    path: Path,
+    packets: list[tuple[int, bytes]],
+    descriptors: dict[int, tuple[int, int, int]],
+    *,
+    internal: bool,
+    start: int = 60,
+) -> list[int]:
+    """PDRF 4 with the given (descriptor, bytes) packets from byte `start`; an empty descriptor 2 unless given. Gives offsets."""
+    header = laspy.LasHeader(version="1.4", point_format=4)
+    for number, (bits, samples, spacing) in ({2: (0, 0, 0)} | descriptors).items():
+        header.vlrs.append(
+            laspy.VLR("LASF_Spec", 99 + number, "", struct.pack("<BBIIdd", bits, 0, samples, spacing, 1.0, 0.0))
+        )
+    data = laspy.LasData(header)
+    data.x = data.y = data.z = np.zeros(len(packets))
+    data["wavepacket_index"] = [d for d, _ in packets]
+    offsets, at = [], start
+    for _, raw in packets:
+        offsets.append(at)
+        at += len(raw)
+    data["wavepacket_offset"] = [o if d else 0 for o, (d, _) in zip(offsets, packets)]
+    data["wavepacket_size"] = [len(raw) for _, raw in packets]
+    data.write(path)
+    block = (
+        struct.pack("<H16sHQ32s", 0, b"LASF_Spec", 65535, at - 60, b"")
+        + bytes(start - 60)
+        + b"".join(r for _, r in packets)
+    )
+    raw = bytearray(path.read_bytes())
+    if internal:
+        struct.pack_into("<H", raw, 6, 2)
+        struct.pack_into("<Q", raw, 227, len(raw))
+        struct.pack_into("<QI", raw, 235, len(raw), 1)
+        path.write_bytes(bytes(raw) + block)
+    else:
+        struct.pack_into("<H", raw, 6, 4)
+        path.write_bytes(raw)
+        path.with_suffix(".WDP").write_bytes(block)
+    return offsets
+
+
+def patched(path: Path, at: int, form: str, *values: float) -> None:
+    raw = bytearray(path.read_bytes())
+    struct.pack_into(form, raw, at, *values)
+    path.write_bytes(raw)
 
 
 def make_trajectory(n: int = 400, seed: int = 1) -> Trajectory:
