@@ -3,7 +3,7 @@
 The pattern itself is fitted by `observe.boards`; the mounting is solved by `mounting_by_boards`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,11 @@ from evaluator.observe.boards import BoardFit, BoardView, find_board, sides_px
 _HAND_STD_PX = 0.5  # of a pixel that a person picked
 _SHADOW_SHARE = 0.6  # a board whose white has less than this of the others' lies in a shadow
 _OTHER_AZIMUTH, _OR = "the board that stands there has the azimuth of ", " or "
+_NEAREST = 0.9  # of a board's size: nearer centres are one place
+# Tried where no board has the surveyed azimuth; a fit converges from ten degrees. So the search costs the same for any number
+# of boards.
+_TURNS_DEG = (90.0, 20.0, 34.0, 48.0, 62.0, 76.0, 104.0, 118.0, 132.0, 146.0, 160.0)
+_NEAR_TURN_DEG = 15.0  # of the best of them: boards whose azimuth it may be
 _AS_GOOD = 2.0  # times the least rms: a board some degrees away from another's azimuth is fitted nearly as well
 # Points of the two edges that cross in the centre, over the board's size: what the plane's homography is fitted to, as the
 # fit rests on these edges. A square grid's corners bend it by the lens's distortion, which moved centres outward by 0.002 px.
@@ -48,18 +53,23 @@ def boards(data: CampaignData) -> tuple[SurveyedTarget, ...]:
     return tuple(t for t in data.targets if t.kind == "board")
 
 
-def board_search_px(data: CampaignData, height_m: float) -> float:
+def board_search_px(data: CampaignData, target: SurveyedTarget, height_m: float) -> float:
     """How far a board may lie from its nominal prediction: two prior deviations of the mounting, less than half the distance
-    to the next board, so that a neighbour stays outside. [px]"""
+    to the next board, so that a neighbour stays outside. Boards that the survey puts nearer than their own size cannot both
+    stand there: such a blunder narrows no window. [px]"""
     if data.rig is None or data.camera is None:
         raise EvaluationError("no sensors/rig.json or sensors/camera.json")
     focal = data.camera.nominal_focal_length_mm * 1000.0 / data.camera.pixel_size_um
     height = max(height_m, 1.0)
     angle = 2.0 * (np.radians(data.rig.camera.boresight_std_deg) + data.rig.camera.lever_arm_std_m / height)
-    places = np.array([[t.easting_m, t.northing_m] for t in boards(data)]).reshape(-1, 2)
-    apart = np.linalg.norm(places[:, None] - places[None], axis=-1) + 1e9 * np.eye(len(places))
-    least = float(apart.min(initial=1e9))
-    return float(max(focal * min(angle, 0.45 * least / height), 15.0))
+    apart = [
+        distance
+        for t in boards(data)
+        if t.id != target.id
+        and (distance := float(np.hypot(t.easting_m - target.easting_m, t.northing_m - target.northing_m)))
+        >= _NEAREST * target.size_m
+    ]
+    return float(max(focal * min(angle, 0.45 * min(apart, default=1e9) / height), 15.0))
 
 
 def world_from_board(target: SurveyedTarget, world_frame: WorldFrame) -> tuple[np.ndarray, np.ndarray]:
@@ -182,7 +192,7 @@ def observe_boards(
         else:
             if view is None:
                 continue
-            radius = search_px if search_px is not None else board_search_px(data, _height(data, view, target))
+            radius = search_px if search_px is not None else board_search_px(data, target, _height(data, view, target))
             half = 0.5 * sides_px(view)[1]
             if np.any(view.predicted_px < -half) or np.any(view.predicted_px > size + half):
                 continue
@@ -210,13 +220,19 @@ def observe_boards(
     return _without_shadowed(found, reasons), reasons
 
 
-def boards_not_found(reasons: Mapping[str, str], observations: Sequence[BoardObservation]) -> dict[str, str]:
-    """Boards without any observation, and the reason that most of their images give."""
+def boards_not_found(
+    surveyed: Iterable[str], reasons: Mapping[str, str], observations: Sequence[BoardObservation]
+) -> dict[str, str]:
+    """Boards of the survey without any observation, and the reason that most of their images give."""
     found = {o.target for o in observations}
-    by_board: dict[str, list[str]] = {}
+    by_board: dict[str, list[str]] = {b: [] for b in surveyed}
     for key, reason in sorted(reasons.items()):
         by_board.setdefault(key.split(", ")[0], []).append(reason)
-    return {b: max(lines, key=lines.count) for b, lines in by_board.items() if b not in found}
+    return {
+        b: max(lines, key=lines.count) if lines else "outside every image"
+        for b, lines in by_board.items()
+        if b not in found
+    }
 
 
 def swapped_by_azimuth(not_found: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -243,24 +259,33 @@ def _find(
     black_level: float,
     full_scale: float,
 ) -> BoardFit | str:
-    """The board, or a reason; one that stands there at the azimuth of another, or of some others, is named as such."""
-    clipped = 0.995 * full_scale
-    fit = find_board(grey, view, search_px, clipped_at=clipped, black_level=black_level)
+    """The board, or a reason; one that stands there at the azimuth of another, or of some others, or turned against the survey
+    otherwise, is named as such."""
+
+    def turned_by(turn_deg: float) -> BoardFit | str:
+        c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+        turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        seen = replace(view, offset_from_board=view.offset_from_board @ turned)
+        return find_board(grey, seen, search_px, clipped_at=0.995 * full_scale, black_level=black_level)
+
+    fit = turned_by(0.0)
     if isinstance(fit, BoardFit):
         return fit
+    tried = {turn: turned_by(turn) for turn in _TURNS_DEG}
+    at = {turn: there.rms for turn, there in tried.items() if isinstance(there, BoardFit)}
+    if not at:
+        return fit
+    best = min(at, key=lambda turn: at[turn])
     fits: dict[str, float] = {}
     for other in boards(data):
-        turn = np.radians(other.azimuth_deg - target.azimuth_deg)
-        if other.id == target.id or abs(np.sin(turn)) < np.sin(np.radians(5.0)):
-            continue
-        c, s = np.cos(turn), np.sin(turn)
-        turned = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        as_other = replace(view, offset_from_board=view.offset_from_board @ turned)
-        there = find_board(grey, as_other, search_px, clipped_at=clipped, black_level=black_level)
-        if isinstance(there, BoardFit):
-            fits[other.id] = there.rms
+        turn = other.azimuth_deg - target.azimuth_deg
+        if other.id != target.id and abs(np.sin(np.radians(turn - best))) < np.sin(np.radians(_NEAR_TURN_DEG)):
+            there = turned_by(turn)
+            if isinstance(there, BoardFit):
+                fits[other.id] = there.rms
     if not fits:
-        return fit
+        turn = best if best <= 90.0 else best - 180.0
+        return f"the board that stands there is turned by about {turn:+.0f} degrees against its surveyed azimuth"
     least = min(fits.values())
     return _OTHER_AZIMUTH + _OR.join(sorted(name for name, rms in fits.items() if rms <= _AS_GOOD * least))
 

@@ -24,6 +24,7 @@ from evaluator.boards.board_blunders import (
 from evaluator.boards.board_model import BoardProblem, Views, navigation_part, remap, views_of
 from evaluator.boards.board_observations import (
     BoardObservation,
+    boards,
     boards_not_found,
     observe_boards,
     surveyed_boards,
@@ -356,13 +357,21 @@ def solve_by_boards(
     ----------
     The patent's steps S3 to S7; W. Baarda, A testing procedure for use in geodetic networks, 1968.
     """
+    not_found = boards_not_found((t.id for t in boards(data)), reasons or {}, observations)
     problem, views = build_board_problem(data, observations)
+    if len(problem.boards) < LEAST_BOARDS and not_found:
+        why = list(not_found.values())
+        raise EvaluationError(
+            "too few 2x2 boards in the images",
+            got=f"{len(problem.boards)} of {len(boards(data))} boards; of the others most: {max(why, key=why.count)}",
+            expected=f"at least {LEAST_BOARDS} boards",
+            remedy="check nominal mounting and its deviations in rig.json, time stamps, and the survey's sizes and azimuths",
+        )
     if tools.mounting_solver is None:
         found = solve_board_problem(problem, views, observations)
     else:
         answer = tools.mounting_solver(board_task(problem, views, observations))
         found = _as_answered(problem, views, observations, *board_xi(problem, answer))
-    not_found = boards_not_found(reasons or {}, observations)
     pairs = swapped_by_azimuth(not_found)
     lines = [f"{a} and {b} are swapped: each stands at the other's azimuth" for a, b in pairs]
     return replace(found, rejected=(*found.rejected, *lines), swapped=(*found.swapped, *pairs), not_found=not_found)

@@ -14,7 +14,7 @@ from evaluator.boards.board_observations import BoardObservation, observe_boards
 from evaluator.boards.mounting_by_boards import BoardMounting, solve_by_boards
 from evaluator.georeference import nominal_mountings
 from evaluator.load import load_campaign
-from evaluator.model import CampaignData
+from evaluator.model import CampaignData, EvaluationError
 
 TINY = Path(__file__).parents[1] / "data" / "tiny.toml"
 TRUE = np.array([0.8, -0.5, 1.2, 0.03, -0.02, 0.05])
@@ -153,6 +153,45 @@ def test_exchanged_places_missing_and_shaded_boards_are_named(flown: Flown) -> N
     named = solve_by_boards(data, others, reasons)
     assert named.swapped == ((a, b),)
     assert a in named.not_found and missing not in named.not_found
+
+
+def test_survey_blunders_cost_only_their_own_board(flown: Flown) -> None:
+    """Rationale: hostile survey. One row puts a board where another stands, at another azimuth: a search window of half the
+    distance to the next board must not close for all. A board's azimuth is wrong by a quarter turn (black for white); one board
+    lies outside every image.
+
+    Expected: only the board that is wrong in the survey is missing, with its true reason; the one outside is named too.
+    Tolerance: none."""
+    names = sorted({o.target for o in flown.observations})
+    rows = {t.id: t for t in flown.data.targets}
+    a, b = max(
+        ((x, y) for x in names for y in names if x != y),
+        key=lambda pair: abs(np.sin(np.radians(rows[pair[0]].azimuth_deg - rows[pair[1]].azimuth_deg))),
+    )
+    quarter = next(n for n in names if n not in (a, b))
+    place = {key: getattr(rows[b], key) for key in ("easting_m", "northing_m", "height_m")}
+    turned = replace(rows[quarter], azimuth_deg=(rows[quarter].azimuth_deg + 90.0) % 360.0)
+    changed = {a: replace(rows[a], **place), quarter: turned}
+    far = replace(rows[a], id="B99", easting_m=rows[a].easting_m + 500.0)
+    data = replace(flown.data, targets=(*(changed.get(t.id, t) for t in flown.data.targets), far))
+    images = {image: flown.images[image] for image in sorted(flown.images)[:3]}
+    found, reasons = observe(data, images)
+    assert {o.target for o in found} == set(names) - {a, quarter}
+    assert len(found) == 5 * len(images)
+    named = solve_by_boards(data, found, reasons).not_found
+    assert named.keys() == {a, quarter, "B99"}
+    assert "azimuth" in named[a] and "shadow" not in named[quarter]
+    assert named["B99"] == "outside every image"
+
+
+def test_nothing_found_says_why(flown: Flown) -> None:
+    """Rationale: with a drawing wrong by more than its stated deviation every board lies outside its window; "0 boards" alone
+    sends nobody to rig.json. Expected: the error holds the reason most images give, and names rig.json. Tolerance: none."""
+    reasons = {
+        f"B0{k}, s01_l01_001.tif": "no board of this size and azimuth within 15 px: missing" for k in range(1, 8)
+    }
+    with pytest.raises(EvaluationError, match=r"0 of 7 boards; of the others most: no board of this size.*rig\.json"):
+        solve_by_boards(flown.data, [], reasons)
 
 
 def test_a_board_at_the_border_is_left_out(flown: Flown) -> None:
