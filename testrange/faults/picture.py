@@ -38,5 +38,9 @@ def draw_matrix(matrix: FaultMatrix) -> Figure:
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     right = f"{matrix.right} of {len(matrix.results)} as injected"
-    axes.set_title(f"Injected fault against what deviates: z where |z| > {matrix.limit:.2f}; {right}")
+    axes.set_title(
+        f"Injected fault against what deviates: z where |z| > {matrix.limit:.2f}, × a surveyed place that is doubted; {right}\n"
+        "Green: must show. Red: shows besides.",
+        loc="left",
+    )
     return drawn
