@@ -22,6 +22,7 @@ from evaluator.mounting.blunders import (
 )
 from evaluator.mounting.helping_strip import helping_strips
 from evaluator.mounting.mounting_model import KINDS, Problem, System, mounting_of
+from evaluator.mounting.stated import Fitted, detectable_survey, examine
 
 _MOST_REJECTED = 0.25  # of all observations; more is no longer a matter of single blunders
 
@@ -224,6 +225,18 @@ def _plane_companions(solved: Solved) -> dict[str, object]:
     }
 
 
+def _stated_companions(solved: Solved) -> dict[str, object]:
+    """What is stated and not estimated, as the observations see it, and which errors of the survey would be found."""
+    fit = solved.fit
+    fitted = Fitted(factor=fit.factor, design=fit.design, covariance=fit.covariance, residual=fit.residual)
+    doubts, lines = examine(solved.system, fit.x, fitted)
+    return {
+        "stated": [d.block() for d in doubts],
+        "stated_in_doubt": lines,
+        "detectable_survey_error": detectable_survey(solved.system, fitted),
+    }
+
+
 def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray | None = None) -> MountingSolution:
     """Both mountings from all marks, vertices and panels' planes.
 
@@ -239,7 +252,8 @@ def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray |
     -------
     MountingSolution
         `companions` hold the variance factors, correlations beyond 0.95, what is not determined, with `snoop` the strip that
-        would determine it, and where there are planes their number and how all their surveyed heights stand off together.
+        would determine it, what of the stated the observations contradict (`stated`) and which error of the survey they would
+        find, and where there are planes their number and how all their surveyed heights stand off together.
 
     Raises
     ------
@@ -288,6 +302,7 @@ def solve_mountings(problem: Problem, *, snoop: bool = True, start: np.ndarray |
                 name for name, s, prior in zip(names, std, system.prior_std, strict=True) if s > 0.5 * prior
             ],
             "prior_std": [float(s) for s in system.prior_std],
+            **(_stated_companions(solved) if snoop else {}),
             **({"strip_that_would_help": [w.block() for w in helping]} if helping else {}),
         },
         prior_std=system.prior_std,

@@ -14,7 +14,7 @@ from evaluator.model import MarkObservation, MountingSolution, PlaneObservation,
 from evaluator.mounting.mounting_model import KINDS, Problem, System
 
 # An observation is a blunder when its test's tail probability falls below this.
-_BLUNDER = 1e-5
+BLUNDER = 1e-5
 _LOOSE_STD_M = 1e3  # stands for what is known of a surveyed place or height that was rejected
 
 
@@ -98,9 +98,9 @@ def worst_groups(statistic: np.ndarray, freedom: np.ndarray) -> list[int]:
     """Groups to reject now: those past the threshold whose test is at least half the greatest one."""
     tail = -scipy.stats.chi2.logsf(statistic, np.maximum(freedom, 1.0))
     tail[freedom == 0] = 0.0
-    if tail.size == 0 or tail.max() < -np.log(_BLUNDER):
+    if tail.size == 0 or tail.max() < -np.log(BLUNDER):
         return []
-    return [int(g) for g in np.flatnonzero((tail >= -np.log(_BLUNDER)) & (tail >= 0.5 * tail.max()))]
+    return [int(g) for g in np.flatnonzero((tail >= -np.log(BLUNDER)) & (tail >= 0.5 * tail.max()))]
 
 
 def describe_mark(mark: MarkObservation) -> str:

@@ -241,11 +241,13 @@ def navigation_covariance(
 
 @dataclass(frozen=True, kw_only=True)
 class Linear:
-    """The linearised system: residuals y - f, design, covariance."""
+    """The linearised system: residuals y - f, design, covariance, and the observations' derivatives by what is stated."""
 
     residual: np.ndarray
     design: np.ndarray
     covariance: np.ndarray
+    by_lens: np.ndarray  # (2 marks, 9)
+    by_range: np.ndarray  # (rows before the places, 2) of measured by additive [m] and proportional errors of ranges
 
 
 class System:
@@ -388,7 +390,7 @@ class System:
         design[prior, : self.count] = np.eye(self.count)
         if with_covariance:
             self._covariance(covariance, d_position, d_attitude, d_lens, d_range)
-        return Linear(residual=residual, design=design, covariance=covariance)
+        return Linear(residual=residual, design=design, covariance=covariance, by_lens=d_lens, by_range=d_range)
 
     def _covariance(
         self,

@@ -109,8 +109,10 @@ def flight(
     panels=0,
     panel_std=0.001,
     panel_height_std=0.004,
+    grid=(4, 4),
 ) -> Problem:
-    """16 targets; every height a sortie with one strip a heading, two images and one scan of every target each.
+    """Targets on a grid, 16 unless told; every height a sortie with one strip a heading, two images and one scan of every
+    target each.
 
     `clocks` are stamped minus true time of camera and LiDAR, `lidar_turn_deg` a change of the LiDAR's boresight before the
     second sortie, `noise` scales every error. `panels` level ones stand between the targets; every strip scans them too.
@@ -119,10 +121,10 @@ def flight(
     the_rig = rig(clock_std_s)
     nominal = nominal_mountings(the_rig)
     camera = mounting_of(nominal[0], truth[:6])
-    e, n = np.meshgrid(np.linspace(-14, 14, 4), np.linspace(-10, 10, 4))
-    places = np.stack([e.ravel(), n.ravel(), rng.choice([0.2, 0.65, 1.15], 16)], axis=-1)
+    e, n = np.meshgrid(np.linspace(-14, 14, grid[0]), np.linspace(-10, 10, grid[1]))
+    places = np.stack([e.ravel(), n.ravel(), rng.choice([0.2, 0.65, 1.15], e.size)], axis=-1)
     survey_std = np.array([0.003, 0.003, 0.004])
-    names = [f"F{i:02d}" for i in range(16)]
+    names = [f"F{i:02d}" for i in range(len(places))]
     surveyed = {
         name: SurveyedMark(
             mark_world_m=p + noise * rng.standard_normal(3) * survey_std,
