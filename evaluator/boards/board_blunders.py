@@ -11,7 +11,15 @@ import numpy as np
 import scipy.linalg
 import scipy.stats
 
-from evaluator.boards.board_model import BoardProblem, Views, observation_covariance, remap
+from evaluator.boards.board_model import (
+    BoardProblem,
+    Views,
+    carried_px,
+    corrected,
+    navigation_errors,
+    observation_covariance,
+    remap,
+)
 from evaluator.model import EvaluationError
 
 LEAST_BOARDS = 3
@@ -30,8 +38,9 @@ class BoardFitted:
     inverse_covariance: np.ndarray  # (2 n, 2 n) of the observations
     design: np.ndarray  # (2 n, 6)
     by_place: np.ndarray  # (2 n, 3)
-    residual: np.ndarray  # (2 n,)
+    residual: np.ndarray  # (2 n,) against the poses of navigation, linear about `views`
     iterations: int
+    views: Views  # the poses as corrected
 
 
 def gauss_newton(problem: BoardProblem, views: Views, uv: np.ndarray, start: np.ndarray) -> BoardFitted:
@@ -39,19 +48,22 @@ def gauss_newton(problem: BoardProblem, views: Views, uv: np.ndarray, start: np.
 
     Rows are whitened by the Cholesky factor of their covariance and solved by an orthogonal decomposition: navigation makes
     neighbours so alike (condition 5e7 for an APX-15) that the normal equations' rounding would move the parameters for ever.
+    Each step is linear about the poses as the pixels correct them, not as navigation has them: half a metre and half a degree
+    of it bend pixels by tenths, which sharp centres would take for blunders.
     """
     xi = start.copy()
     prior = np.diag(1.0 / problem.prior_std)
     n = len(uv)
+    moved, errors = views, np.zeros((n, 6))
     for iteration in range(1, 31):
-        at = remap(problem, views, xi)
-        residual = (uv - at.uv_px).ravel()
+        at = remap(problem, moved, xi)
+        residual = (uv - at.uv_px).ravel() + carried_px(moved, at, errors)
         if not np.all(np.isfinite(residual)):
             raise EvaluationError(
                 "a board's predicted pixel left the camera's field", remedy="check rig.json's nominal mounting"
             )
         design = at.by_xi.reshape(2 * n, 6)
-        half = np.linalg.cholesky(observation_covariance(problem, views, at))
+        half = np.linalg.cholesky(observation_covariance(problem, moved, at))
         white = scipy.linalg.solve_triangular(half, np.column_stack([design, residual]), lower=True)
         q, r = np.linalg.qr(np.concatenate([white[:, :6], prior]))
         step = scipy.linalg.solve_triangular(r, q.T @ np.concatenate([white[:, 6], -prior @ xi]))
@@ -59,16 +71,20 @@ def gauss_newton(problem: BoardProblem, views: Views, uv: np.ndarray, start: np.
         covariance = back @ back.T
         xi = xi + step
         if np.all(np.abs(step) < 1e-7 * np.sqrt(np.diag(covariance))):
-            at = remap(problem, views, xi)
+            at = remap(problem, moved, xi)
             return BoardFitted(
                 xi=xi,
                 covariance=covariance,
                 inverse_covariance=scipy.linalg.cho_solve((half, True), np.eye(2 * n)),
                 design=design,
                 by_place=at.by_place.reshape(2 * n, 3),
-                residual=(uv - at.uv_px).ravel(),
+                residual=(uv - at.uv_px).ravel() + carried_px(moved, at, errors),
                 iterations=iteration,
+                views=moved,
             )
+        weighted = scipy.linalg.solve_triangular(half.T, white[:, 6] - white[:, :6] @ step)
+        errors = navigation_errors(problem, moved, at, weighted)
+        moved = corrected(views, errors)
     raise EvaluationError("the adjustment of the boards does not converge", got="30 iterations")
 
 

@@ -5,7 +5,7 @@ pixels, the survey (one board's place errs alike in all its images), navigation 
 clock (all images alike). The solver and its tests live in `mounting_by_boards`.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from campaign.sensors import Rig
 from campaign.trajectory import Trajectory
 from evaluator.boards.board_observations import BoardObservation
 from evaluator.camera_model import project_with_jacobian
-from evaluator.frames import WorldFrame, body_pose, euler_angles, euler_rates
+from evaluator.frames import WorldFrame, body_pose, euler_angles, euler_rates, euler_rotation
 from evaluator.georeference import nominal_mountings
 from evaluator.mounting.mounting_model import mounting_of, navigation_covariance, observe_points
 
@@ -143,6 +143,12 @@ def remap(problem: BoardProblem, views: Views, xi: np.ndarray, place_m: np.ndarr
     )
 
 
+def _by_navigation(views: Views, at: Remapped) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the pixels by the navigation's north, east, down and by its roll, pitch, heading: (n, 2, 3) each."""
+    axes = _ENU_FROM_NED @ euler_rates(euler_angles(_ENU_FROM_NED.T @ views.world_from_body))
+    return -at.by_place @ _ENU_FROM_NED, at.by_attitude @ axes
+
+
 def navigation_part(problem: BoardProblem, views: Views, at: Remapped) -> np.ndarray:
     """Covariance of all pixels from what moves whole images: navigation, and the clock against it.
 
@@ -150,10 +156,10 @@ def navigation_part(problem: BoardProblem, views: Views, at: Remapped) -> np.nda
     -------
     (2 n, 2 n) np.ndarray, row order u v of each observation.
     """
-    axes = _ENU_FROM_NED @ euler_rates(euler_angles(_ENU_FROM_NED.T @ views.world_from_body))
+    by_position, by_attitude = _by_navigation(views, at)
     total = navigation_covariance(
-        (at.by_place @ _ENU_FROM_NED).reshape(-1, 3),
-        (at.by_attitude @ axes).reshape(-1, 3),
+        by_position.reshape(-1, 3),
+        by_attitude.reshape(-1, 3),
         np.repeat(views.time_s, 2),
         np.repeat(views.sortie, 2),
         problem.rig.navigation,
@@ -161,6 +167,52 @@ def navigation_part(problem: BoardProblem, views: Views, at: Remapped) -> np.nda
     clock = at.by_attitude @ views.turn_rate_rad_s[:, :, None] - at.by_place @ views.velocity_m_s[:, :, None]
     drift = clock.ravel()
     return np.asarray(total + problem.rig.camera.clock_std_s**2 * np.outer(drift, drift))
+
+
+def navigation_errors(problem: BoardProblem, views: Views, at: Remapped, weighted: np.ndarray) -> np.ndarray:
+    """What the navigation must be corrected by, most probably, at every observation: C J' V^-1 (r - A dxi).
+
+    Parameters
+    ----------
+    weighted : (2 n,) np.ndarray
+        V^-1 (r - A dxi).
+
+    Returns
+    -------
+    (n, 6) np.ndarray
+        North, east, down [m], roll, pitch, heading [rad].
+    """
+    sheet = problem.rig.navigation
+    apart = np.where(
+        views.sortie[:, None] == views.sortie[None], np.abs(views.time_s[:, None] - views.time_s[None]), np.inf
+    )
+    out = []
+    for by, std, correlation in zip(
+        _by_navigation(views, at),
+        (np.asarray(sheet.position_std_m), np.radians(np.asarray(sheet.attitude_std_deg))),
+        (sheet.position_correlation_s, sheet.attitude_correlation_s),
+        strict=True,
+    ):
+        pull = np.einsum("nka,nk->na", by, weighted.reshape(-1, 2))
+        out.append(std**2 * (np.exp(-apart / correlation) @ pull))
+    return np.concatenate(out, axis=1)
+
+
+def corrected(views: Views, errors: np.ndarray) -> Views:
+    """Views with position and attitude corrected by `navigation_errors`."""
+    rpy = euler_angles(_ENU_FROM_NED.T @ views.world_from_body) + errors[:, 3:]
+    return replace(
+        views,
+        body_m=views.body_m + errors[:, :3] @ _ENU_FROM_NED.T,
+        world_from_body=_ENU_FROM_NED @ euler_rotation(*rpy.T),
+    )
+
+
+def carried_px(views: Views, at: Remapped, errors: np.ndarray) -> np.ndarray:
+    """(2 n,) pixels by which `errors` move the observations, linear at these views: J e. [px]"""
+    by_position, by_attitude = _by_navigation(views, at)
+    moved = by_position @ errors[:, :3, None] + by_attitude @ errors[:, 3:, None]
+    return np.asarray(moved.ravel())
 
 
 def observation_covariance(problem: BoardProblem, views: Views, at: Remapped) -> np.ndarray:

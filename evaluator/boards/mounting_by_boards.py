@@ -267,7 +267,9 @@ def solve_board_problem(problem: BoardProblem, views: Views, observations: list[
         )
     rejected += [f"board {observations[i].target} in {observations[i].image}" for i in single]
     at = remap(problem, views, fit.xi)
-    moved = navigation_part(problem, used, remap(problem, used, fit.xi)) @ (fit.inverse_covariance @ fit.residual)
+    moved = navigation_part(problem, fit.views, remap(problem, fit.views, fit.xi)) @ (
+        fit.inverse_covariance @ fit.residual
+    )
     adjusted = np.full_like(uv, np.nan)
     adjusted[kept] = (fit.residual - moved).reshape(-1, 2)
     redundancy = 2 * len(kept)  # six parameters, six weighted observations of them

@@ -94,6 +94,27 @@ def test_stated_deviations_are_the_simulators_bound(tmp_path: Path) -> None:
     assert std_of(found) == pytest.approx(np.sqrt(np.diag(limit)), rel=0.03)
 
 
+def test_a_navigation_of_half_a_metre_is_no_blunder(tmp_path: Path) -> None:
+    """Rationale: half a metre, a tenth of a degree and half a degree of heading (GNSS without a base) move pixels by 30 px, and
+    bend them by tenths: linear about the navigation's own poses, centres of 0.004 px contradict each other (deviation of unit
+    weight 1.4, a centre left out in every flight; a metre and a degree never converged).
+
+    Expected: nothing left out, deviation of unit weight 1, errors as stated. Tolerance: 192 redundancies, 5 % of chance each:
+    0.85 to 1.15; |z| up to 3.5 of 24 values.
+    """
+    flight = dry(
+        tmp_path,
+        'navigation.grade="custom"',
+        "navigation.position_std_m=[0.5,0.5,1.0]",
+        "navigation.attitude_std_deg=[0.1,0.1,0.5]",
+    )
+    for seed in range(5000, 5004):
+        found = solve_by_boards(*flight.draw(seed))
+        assert not found.rejected
+        assert found.sigma0 == pytest.approx(1.0, abs=0.15)
+        assert np.abs(error_of(found) / std_of(found)).max() < 3.5
+
+
 def test_one_heading_says_what_it_cannot_determine(tmp_path: Path) -> None:
     """Rationale: acceptance 1. On one heading a lever arm and a shift of all boards against the navigation are the same: however
     many pictures, a small stated deviation rests on the navigation's centimetre. One picture also ties pitch to x.
