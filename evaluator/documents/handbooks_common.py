@@ -34,6 +34,7 @@ _BLUNDERS = (
     (re.compile(r"mark of (\S+) in (\S+) \(sortie (\d+)\)"), "第 {2} 架次影像 {1} 中靶标 {0} 的标识"),
     (re.compile(r"vertex of (\S+) in strip (\d+) \(sortie (\d+)\)"), "第 {2} 架次航线 {1} 中靶标 {0} 的公共顶点"),
     (re.compile(r"plane of (\S+) in strip (\d+) \(sortie (\d+)\)"), "第 {2} 架次航线 {1} 中靶标 {0} 的平面"),
+    (re.compile(r"surveyed place of (\S+): exchanged with that of (\S+)"), "靶标 {0} 与 {1} 的控制测量位置互换"),
     (re.compile(r"surveyed place of (\S+)"), "靶标 {0} 的控制测量位置"),
 )
 _GRADE_WORDS: dict[str, tuple[str, str]] = {

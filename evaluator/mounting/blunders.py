@@ -1,20 +1,24 @@
 """Observations that contradict all others: the test that finds them, their names, and the problem without them.
 
-Data snooping (Baarda) for the joint adjustment of both mountings. The adjustment that calls it is `adjustment`'s.
+Data snooping (Baarda) for the joint adjustment of both mountings, and targets that stand at each other's surveyed place, which
+give no observation at all. The adjustment that calls it is `adjustment`'s.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import scipy.linalg
 import scipy.stats
 
+from campaign.survey import SurveyedTarget
 from evaluator.model import MarkObservation, MountingSolution, PlaneObservation, VertexObservation
 from evaluator.mounting.mounting_model import KINDS, Problem, System
 
 # An observation is a blunder when its test's tail probability falls below this.
 BLUNDER = 1e-5
+_MOST_EXCHANGED = 6  # targets that nothing saw; where there are more it is another fault, and pairs would fit by chance
 _LOOSE_STD_M = 1e3  # stands for what is known of a surveyed place or height that was rejected
 
 
@@ -126,6 +130,42 @@ def describe_place(target: str) -> str:
 def describe_height(panel: str) -> str:
     """The line that names a panel's surveyed height among the rejected."""
     return f"surveyed height of {panel}"
+
+
+def exchanged(
+    unseen: Iterable[SurveyedTarget], seen_as: Callable[[tuple[SurveyedTarget, ...]], set[str]]
+) -> list[tuple[str, str]]:
+    """Pairs of targets whose surveyed places are exchanged: each is found when the other is looked for at its place.
+
+    A target's azimuth and make stay with its name, so that at an exchanged place neither its faces nor its mark are as stated
+    and nothing of it is observed. Where both look alike (faces within 6 degrees, modulo 90) an exchange is none.
+
+    Parameters
+    ----------
+    unseen : iterable of SurveyedTarget
+        Targets passed over but not found by any sensor.
+    seen_as : callable
+        Targets as they might stand -> ids of those that are found so.
+    """
+    targets = sorted(unseen, key=lambda t: t.id)
+    if len(targets) > _MOST_EXCHANGED:
+        return []
+
+    def at_place_of(body: SurveyedTarget, place: SurveyedTarget) -> SurveyedTarget:
+        return replace(
+            body, id=place.id, easting_m=place.easting_m, northing_m=place.northing_m, height_m=place.height_m
+        )
+
+    return [
+        (a.id, b.id)
+        for a, b in combinations(targets, 2)
+        if seen_as((at_place_of(b, a), at_place_of(a, b))) >= {a.id, b.id}
+    ]
+
+
+def describe_exchange(target: str, other: str) -> str:
+    """The line that names an exchanged target among the rejected."""
+    return f"{describe_place(target)}: exchanged with that of {other}"
 
 
 def describe_group(system: System, group: int) -> str:

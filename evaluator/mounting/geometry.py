@@ -29,6 +29,7 @@ from evaluator.model import (
     VertexObservation,
 )
 from evaluator.mounting.adjustment import solve_mountings
+from evaluator.mounting.blunders import describe_exchange, exchanged
 from evaluator.mounting.mounting_model import Problem, SurveyedMark
 from evaluator.mounting.panel_planes import PlanesFound, contradiction, observe_planes, surveyed_panels
 from evaluator.observe.frustums import FrustumModel, find_vertex, frustum_model
@@ -368,9 +369,33 @@ def solve_geometry(
     problem = build_problem(data, marks, vertices)
     solution = solve(problem, start=first.parameters)
     alone = GeometryResult(problem=problem, solution=solution, vertices=tuple(vertices), vertex_reasons=reasons)
+    lines = exchanged_frustums(data, marks, vertices, returns, solution.body_from_lidar)
     if tools.extrinsic_solver is not None:  # it takes marks and vertices; what it did not use is not said to agree
-        return alone
-    return with_planes(data, alone, observe_planes(data, returns, solution.body_from_lidar), solve)
+        return _with_rejected(alone, lines)
+    planes = observe_planes(data, returns, solution.body_from_lidar)
+    return _with_rejected(with_planes(data, alone, planes, solve), lines)
+
+
+def exchanged_frustums(
+    data: CampaignData,
+    marks: Sequence[MarkObservation],
+    vertices: Sequence[VertexObservation],
+    returns: Mapping[tuple[int, int, str], TargetReturns],
+    body_from_lidar: Mounting,
+) -> list[str]:
+    """One line for each frustum that stands at another one's surveyed place."""
+    found = {o.target for o in marks} | {o.target for o in vertices}
+    passed = {target for _, _, target in returns}
+    unseen = [t for t in frustums(data) if t.id in passed - found]
+
+    def seen_as(targets: tuple[SurveyedTarget, ...]) -> set[str]:
+        """Found in at least half of the strips that passed."""
+        there = {key: returns[key] for key in returns if key[2] in {t.id for t in targets}}
+        seen, _ = observe_vertices(replace(data, targets=targets), there, body_from_lidar, located=True)
+        strips = {t.id: sum(key[2] == t.id for key in there) for t in targets}
+        return {t for t, n in strips.items() if 2 * sum(v.target == t for v in seen) >= n}
+
+    return [describe_exchange(*pair) for a, b in exchanged(unseen, seen_as) for pair in ((a, b), (b, a))]
 
 
 def with_planes(

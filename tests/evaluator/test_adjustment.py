@@ -8,6 +8,7 @@ import pytest
 from campaign.config import Lens
 from campaign.manifest import Manifest
 from campaign.sensors import MountingSheet, NavigationSheet, Rig
+from campaign.survey import SurveyedTarget
 from campaign.trajectory import Trajectory
 from evaluator.c9_3_calibration import calibration_error, evaluate_calibration, residual_table, target_errors
 from evaluator.camera_model import lens_from_vector, lens_vector, project
@@ -15,6 +16,7 @@ from evaluator.frames import WorldFrame, euler_angles, euler_rotation
 from evaluator.georeference import nominal_mountings
 from evaluator.model import EvaluationError, MarkObservation, VertexObservation
 from evaluator.mounting.adjustment import camera_from_lidar, solve_mountings
+from evaluator.mounting.blunders import exchanged
 from evaluator.mounting.mounting_model import Problem, SurveyedMark, System, mounting_of, observe_points, scan_drift_m2
 
 FRAME = WorldFrame(
@@ -266,6 +268,37 @@ def test_blunders_are_named_and_harmless() -> None:
     assert any(f"vertex of {vertices[40].target} in strip {vertices[40].strip}" in r for r in solution.rejected)
     assert any("surveyed place of F05" in r for r in solution.rejected)
     assert (np.abs(solution.parameters - TRUE) / np.sqrt(np.diag(solution.covariance))).max() < 4.4
+
+
+def test_exchanged_places_are_named_by_who_stands_there() -> None:
+    """Rationale: two places booked under each other's name leave no observation of either. Expected: of three that nothing saw the
+    two that are found when looked for at each other's place, with their own azimuth and make; one that was taken away
+    pairs with none; where seven are unseen another fault is at work and nothing is paired."""
+
+    def target(name: str, easting: float) -> SurveyedTarget:
+        return SurveyedTarget(
+            id=name,
+            kind="frustum",
+            easting_m=easting,
+            northing_m=0.0,
+            height_m=0.1 * easting,
+            easting_std_m=0.003,
+            northing_std_m=0.003,
+            height_std_m=0.004,
+            azimuth_deg=10.0 + easting,
+            size_m=0.6,
+            nominal_reflectance_percent=None,
+        )
+
+    stands = {1.0: 12.0, 2.0: 11.0}  # easting -> azimuth of the body that is there: F1 and F2 exchanged, F3 away
+
+    def seen_as(targets: tuple[SurveyedTarget, ...]) -> set[str]:
+        assert all(t.height_m == pytest.approx(0.1 * t.easting_m) for t in targets)  # the whole place moves
+        return {t.id for t in targets if stands.get(t.easting_m) == t.azimuth_deg}
+
+    three = [target("F1", 1.0), target("F2", 2.0), target("F3", 3.0)]
+    assert exchanged(three, seen_as) == [("F1", "F2")]
+    assert exchanged([target(f"F{k}", float(k)) for k in range(1, 8)], seen_as) == []
 
 
 def test_variance_factors_are_estimated() -> None:
