@@ -79,6 +79,7 @@ def _parts(evaluation: Evaluation, score: Score | None, language: Language) -> I
         "mounting_rows": sections.mounting_rows(results, t),
         "three_ways": sections.three_ways(results, t),
         "inseparable": sections.inseparable(results, t),
+        "stated_rows": sections.stated_rows(results, t),
         "closure_rows": sections.closure_rows(results, t),
         "clock_rows": sections.clock_rows(results, t),
         "board_rows": sections.board_rows(results, t),

@@ -287,6 +287,21 @@ def inseparable(results: Mapping[str, Any], t: Texts) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda r: -abs(r["correlation"]))
 
 
+def stated_rows(results: Mapping[str, Any], t: Texts) -> list[dict[str, Any]]:
+    """What the adjustment took as stated, as its observations see it."""
+    block = results["mounting"]
+    doubted = {str(line).split(":")[0] for line in block.get("companions", {}).get("stated_in_doubt", [])}
+    return [
+        {
+            **row,
+            "name": parameter(row["quantity"], t.language),
+            "moves": parameter(row["moves"], t.language),
+            "doubted": row["quantity"] in doubted,
+        }
+        for row in block.get("companions", {}).get("stated", [])
+    ]
+
+
 def closure_rows(results: Mapping[str, Any], t: Texts) -> list[dict[str, Any]]:
     """The closure's six components."""
     block = results["mounting"].get("closure") or {}

@@ -5,6 +5,7 @@ for every companion that a campaign of ours produces.
 """
 
 NAMES: dict[str, tuple[str, str]] = {
+    "camera_principal_distance_px": ("相机主距", "camera principal distance"),
     "camera_clock": ("相机时钟偏差", "camera clock"),
     "lidar_clock": ("激光雷达时钟偏差", "LiDAR clock"),
     "camera_gain": ("相机增益（与记录之比）", "camera gain (over the logged one)"),

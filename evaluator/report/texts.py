@@ -155,6 +155,19 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
         "{redundancy}, {rejected} observations left out.",
     ),
     "rejected": ("剔除的观测值（{n}）", "Observations left out ({n})"),
+    "h_stated_rows": ("平差所依据的给定值", "What the adjustment took as stated"),
+    "stated_rows_note": (
+        "镜头证书、测距常数和未估计的时钟由飞行观测值检验：偏离为真值减给定值；“可发现”为以 95 % 概率发现的最小偏离，"
+        "“影响”为恰未发现时安置参数的移动（以其标准差计）。标出的给定值与观测值矛盾，上表的安置参数不可信。",
+        "Lens certificate, range constants and clocks that are not estimated, tested by the flight's own observations. Shift: true "
+        "minus stated; detectable: least shift found with 95 %; moves: what one that just escapes does to the mounting, in its "
+        "standard deviations. Where a row is marked the observations contradict what is stated, and the mountings above "
+        "are not to be trusted.",
+    ),
+    "stated_shift": ("偏离", "shift"),
+    "stated_detectable": ("可发现", "detectable"),
+    "stated_moves": ("影响", "moves"),
+    "stated_doubted": ("与观测值矛盾", "contradicted"),
     "h_three_ways": ("不同途径的结果", "By each way"),
     "three_ways_note": (
         "联合平差、单传感器平差（仅用该传感器的观测值）与 2×2 标定板法的估计值，括号内为标准差。",
