@@ -13,6 +13,19 @@ _LATER_S = 30.0  # between the last strip and the one that is thought of
 FREE_DATUM_M = 1.0  # of a horizontal shift of all boards against the navigation that nothing is known of
 
 
+def rank_and_condition(design: np.ndarray, inverse_covariance: np.ndarray) -> tuple[int, float | None]:
+    """Rank and condition of the whitened Jacobian of S7, each column scaled to one; priors are not in it.
+
+    Columns that are alike to 1e-6 count as one. A flight may keep full rank and tell two parameters apart by nothing but noise:
+    `not_determined` judges by deviations and correlations, these two figures go with it. No condition without full rank.
+    """
+    normal = design.T @ inverse_covariance @ design
+    scale = np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))
+    values = np.sqrt(np.maximum(np.linalg.eigvalsh(normal / np.outer(scale, scale)), 0.0))
+    rank = int(np.sum(values > 1e-6 * values[-1]))
+    return rank, float(values[-1] / values[0]) if rank == len(values) else None
+
+
 def predicted_std(problem: BoardProblem, views: Views, xi: np.ndarray, datum_std_m: float = 0.0) -> np.ndarray:
     """(6,) standard deviations of xi, rad and m, that observations from these views would give.
 

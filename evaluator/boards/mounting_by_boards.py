@@ -8,6 +8,7 @@ boards in images: `board_observations`.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 
@@ -16,11 +17,11 @@ from evaluator.algorithms.solvers import board_task, board_xi
 from evaluator.boards.board_blunders import (
     LEAST_BOARDS,
     BoardFitted,
-    gauss_newton,
     place_shift,
     swapped_pairs,
     without_blunders,
 )
+from evaluator.boards.board_count import LEAST_OBSERVATIONS, by_count
 from evaluator.boards.board_model import BoardProblem, Views, navigation_part, remap, views_of
 from evaluator.boards.board_observations import (
     BoardObservation,
@@ -30,7 +31,7 @@ from evaluator.boards.board_observations import (
     surveyed_boards,
     swapped_by_azimuth,
 )
-from evaluator.boards.board_strips import FREE_DATUM_M, helping_strips, predicted_std
+from evaluator.boards.board_strips import FREE_DATUM_M, helping_strips, predicted_std, rank_and_condition
 from evaluator.frames import WorldFrame
 from evaluator.model import CampaignData, EvaluationError
 from evaluator.mounting.geometry import certified_lens
@@ -41,12 +42,11 @@ __all__ = ["BoardMounting", "observe_boards", "solve_by_boards"]
 NAMES = PARAMETER_NAMES[:6]
 UNITS = ("deg", "deg", "deg", "m", "m", "m")
 _TO_UNITS = np.array([np.degrees(1.0)] * 3 + [1.0] * 3)
-_LEAST_OBSERVATIONS = 4
 _PRIOR_SHARE, _CORRELATION = 0.5, 0.95  # beyond either a parameter is not determined
 _DATUM_SHARE = (
     2.0  # growth of a deviation beyond which it rests on there being no shift of the boards against navigation
 )
-_COUNT_STD_PX = 0.35  # of the half-window count: rounding to whole pixels, and its noise
+_HELPS = 0.8  # of the deviation a strip must leave, or less, to be called one that helps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +59,8 @@ class BoardResidual:
     residual_px: np.ndarray  # (2,)
     adjusted_px: np.ndarray  # (2,) without what navigation and clock most probably did to it; NaN: not used
     used: bool
+    uv_px: np.ndarray  # (2,) the sub-pixel centre
+    count_px: np.ndarray | None = None  # (2,) whole numbers: S4 as written
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +80,10 @@ class BoardMounting:
     iterations: int
     boards: tuple[str, ...]  # used
     count: dict[str, object] = field(default_factory=dict)  # the same from the half-window count
+    rank: int | None = (
+        None  # of the images' own normal equations, without priors: 6 when the images hold every parameter
+    )
+    condition: float | None = None
     not_found: dict[str, str] = field(default_factory=dict)  # boards that no image shows well, and why
 
     @property
@@ -97,6 +103,10 @@ class BoardMounting:
         std = np.sqrt(np.diag(self.covariance))
         scaled = self.covariance * np.outer(_TO_UNITS, _TO_UNITS)
         values = self.parameters * _TO_UNITS
+        count = dict(self.count)
+        if "estimates" in count:  # what the flight cannot determine has no value by the count either
+            pairs = zip(self.names, cast("list[float]", count["estimates"]), strict=True)
+            count["estimates"] = [None if n in weak else v for n, v in pairs]
         return {
             "method": "2x2 boards, steps S3 to S7 of the patent",
             "names": list(self.names),
@@ -106,6 +116,8 @@ class BoardMounting:
             "prior_std": [float(v) for v in self.prior_std * _TO_UNITS],
             "covariance": scaled.tolist(),
             "correlation": (self.covariance / np.outer(std, std)).tolist(),
+            "rank": self.rank,
+            "condition": self.condition,
             "not_determined": [dict(entry) for entry in self.not_determined],
             "boards": list(self.boards),
             "images": len({(r.sortie, r.image) for r in self.residuals if r.used}),
@@ -118,7 +130,7 @@ class BoardMounting:
             "rejected": list(self.rejected),
             "swapped": [list(pair) for pair in self.swapped],
             "not_found": dict(self.not_found),
-            "half_window_count": dict(self.count),
+            "half_window_count": count,
             "residuals": [
                 {
                     "target": r.target,
@@ -127,6 +139,10 @@ class BoardMounting:
                     "du_px": float(r.residual_px[0]),
                     "dv_px": float(r.residual_px[1]),
                     "used": r.used,
+                    "u_px": float(r.uv_px[0]),
+                    "v_px": float(r.uv_px[1]),
+                    "count_u_px": None if r.count_px is None else int(r.count_px[0]),
+                    "count_v_px": None if r.count_px is None else int(r.count_px[1]),
                 }
                 for r in self.residuals
             ],
@@ -190,64 +206,45 @@ def _not_determined(
     for i in weak:
         partner = int(np.argmax(off[i]))
         name, with_it = min(strips, key=lambda s: s[1][i])
-        reasons = []
-        if std[i] > most[i]:
-            reasons.append("its standard deviation is above half its prior")
-        elif by_datum[i]:
-            reasons.append("the headings flown do not part it from a shift of all boards against the navigation")
-        if off[i, partner] > _CORRELATION:
-            reasons.append(f"it is tied to {NAMES[partner]}")
+        helps = bool(with_it[i] <= _HELPS * free[i])
+        causes = {
+            "prior": std[i] > most[i],
+            "datum": by_datum[i] and std[i] <= most[i],
+            "correlation": off[i, partner] > _CORRELATION,
+        }
+        words = {
+            "prior": "its standard deviation is above half its prior",
+            "datum": "the headings flown do not part it from a shift of all boards against the navigation",
+            "correlation": f"it is tied to {NAMES[partner]}",
+        }
         entries.append(
             {
                 "parameter": NAMES[i],
                 "unit": UNITS[i],
-                "reason": " and ".join(reasons),
+                "reason": " and ".join(words[c] for c, holds in causes.items() if holds)
+                + ("" if helps else "; none of the strips that were tried would lessen it by a fifth"),
+                "causes": [c for c, holds in causes.items() if holds],
                 "std": float(std[i] * _TO_UNITS[i]),
                 "std_with_free_datum": float(free[i] * _TO_UNITS[i]),
                 "prior_std": float(problem.prior_std[i] * _TO_UNITS[i]),
                 "partner": NAMES[partner],
                 "correlation": float(correlation[i, partner]),
-                "helping_strip": name,
-                "std_with_it": float(with_it[i] * _TO_UNITS[i]),
+                "helping_strip": name if helps else None,
+                "std_with_it": float(with_it[i] * _TO_UNITS[i]) if helps else None,
                 "std_with_each": {each: float(s[i] * _TO_UNITS[i]) for each, s in strips},
             }
         )
     return tuple(entries)
 
 
-def _by_count(
-    problem: BoardProblem, views: Views, observations: list[BoardObservation], fit: BoardFitted
-) -> dict[str, object]:
-    """The same adjustment on the whole pixels of the half-window count, for comparison."""
-    rows = np.array([i for i, o in enumerate(observations) if o.count_px is not None], dtype=np.int64)
-    if len(rows) < _LEAST_OBSERVATIONS or len(np.unique(views.board[rows])) < LEAST_BOARDS:
-        return {}
-    counts = np.array([observations[i].count_px for i in rows], dtype=np.float64)
-    fitted = np.array([observations[i].uv_px for i in rows])
-    away = np.linalg.norm(counts - fitted, axis=1)
-    part = replace(views.rows(rows), covariance_px2=np.tile(_COUNT_STD_PX**2 * np.eye(2), (len(rows), 1, 1)))
-    try:
-        own = gauss_newton(problem, part, counts, fit.xi)
-    except EvaluationError:
-        return {}
-    return {
-        "observations": len(rows),
-        "spread_against_fit_px": float(np.std(counts - fitted)),
-        "mean_distance_to_fit_px": float(np.mean(away)),
-        "estimates": [float(v) for v in own.xi * _TO_UNITS],
-        "std": [float(v) for v in np.sqrt(np.diag(own.covariance)) * _TO_UNITS],
-        "mean_residual_px": float(np.mean(np.linalg.norm(own.residual.reshape(-1, 2), axis=1))),
-    }
-
-
 def solve_board_problem(problem: BoardProblem, views: Views, observations: list[BoardObservation]) -> BoardMounting:
     """S5 to S7 on numbers alone; see `solve_by_boards`."""
     uv = np.array([o.uv_px for o in observations], dtype=np.float64).reshape(-1, 2)
-    if len(problem.boards) < LEAST_BOARDS or len(uv) < _LEAST_OBSERVATIONS:
+    if len(problem.boards) < LEAST_BOARDS or len(uv) < LEAST_OBSERVATIONS:
         raise EvaluationError(
             "too few 2x2 boards in the images",
             got=f"{len(problem.boards)} boards, {len(uv)} observations",
-            expected=f"at least {LEAST_BOARDS} boards and {_LEAST_OBSERVATIONS} observations",
+            expected=f"at least {LEAST_BOARDS} boards and {LEAST_OBSERVATIONS} observations",
         )
     fit, use, boards_out, single = without_blunders(problem, views, uv)
     kept = np.flatnonzero(use)
@@ -272,6 +269,7 @@ def solve_board_problem(problem: BoardProblem, views: Views, observations: list[
     )
     adjusted = np.full_like(uv, np.nan)
     adjusted[kept] = (fit.residual - moved).reshape(-1, 2)
+    rank, condition = rank_and_condition(fit.design, fit.inverse_covariance)
     redundancy = 2 * len(kept)  # six parameters, six weighted observations of them
     chi2 = fit.residual @ fit.inverse_covariance @ fit.residual + np.sum((fit.xi / problem.prior_std) ** 2)
     return BoardMounting(
@@ -290,6 +288,8 @@ def solve_board_problem(problem: BoardProblem, views: Views, observations: list[
                 residual_px=uv[i] - at.uv_px[i],
                 adjusted_px=adjusted[i],
                 used=bool(use[i]),
+                uv_px=o.uv_px,
+                count_px=o.count_px,
             )
             for i, o in enumerate(observations)
         ),
@@ -297,7 +297,9 @@ def solve_board_problem(problem: BoardProblem, views: Views, observations: list[
         redundancy=redundancy,
         iterations=fit.iterations,
         boards=tuple(problem.boards[b] for b in np.unique(used.board)),
-        count=_by_count(problem, used, [observations[i] for i in kept], fit),
+        count=by_count(problem, used, [observations[i] for i in kept], fit, _TO_UNITS),
+        rank=rank,
+        condition=condition,
     )
 
 
@@ -317,7 +319,16 @@ def _as_answered(
         rejected=(),
         swapped=(),
         residuals=tuple(
-            BoardResidual(target=o.target, sortie=o.sortie, image=o.image, residual_px=r, adjusted_px=r, used=True)
+            BoardResidual(
+                target=o.target,
+                sortie=o.sortie,
+                image=o.image,
+                residual_px=r,
+                adjusted_px=r,
+                used=True,
+                uv_px=o.uv_px,
+                count_px=o.count_px,
+            )
             for o, r in zip(observations, residual, strict=True)
         ),
         sigma0=float("nan"),

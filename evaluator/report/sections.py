@@ -196,6 +196,9 @@ def left_out(evaluation: Evaluation) -> list[str]:
 
 
 def _weak_text(entry: Mapping[str, Any], t: Texts) -> str:
+    causes = [t(f"weak_{c}") for c in entry.get("causes", ()) if c != "correlation"]
+    if causes:
+        return t("comma").join(causes)
     other = parameter(str(entry["partner"]), t.language)
     return t("correlated_with", other=other, rho=f"{entry['correlation']:.2f}")
 
@@ -331,7 +334,9 @@ def board_rows(results: Mapping[str, Any], t: Texts) -> list[dict[str, Any]]:
                 "estimate": block["estimates"][k],
                 "std": block["std"][k],
                 "prior": block["prior_std"][k],
-                "count": (count["estimates"][k], count["std"][k]) if count.get("estimates") else None,
+                "count": (count["estimates"][k], count["std"][k])
+                if count.get("estimates") and count["estimates"][k] is not None
+                else None,
                 "weak": _weak_text(entry, t) if entry else "",
                 "help": _help_text(entry, "helping_strip", t),
             }

@@ -114,6 +114,11 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "determined_yes": ("可确定", "yes"),
     "not_determined": ("不能确定", "not determined"),
     "correlated_with": ("与{other}的相关系数 ρ = {rho}", "ρ = {rho} with {other}"),
+    "weak_prior": ("标准差大于先验的一半", "std above half its prior"),
+    "weak_datum": (
+        "所飞航向不能将其与全部标定板的整体平移分开",
+        "not parted from a shift of all boards by the headings flown",
+    ),
     "helping_strip": ("可加飞：{strip}，标准差将为 {std}", "a strip that would help: {strip}, std then {std}"),
     "status": ("结论", "status"),
     "status_pass": ("符合", "pass"),
@@ -209,6 +214,8 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "by_count": ("半窗计数", "half-window count"),
     "boards_rejected": ("剔除的标定板（{n}）", "Boards left out ({n})"),
     "boards_swapped": ("测量成果中互换的标定板", "Boards swapped in the survey"),
+    "boards_not_found": ("没有任何中心的标定板", "Boards without any centre"),
+    "boards_count_left_out": ("计数偏离中心而未采用（{n}）", "Counts far from their centre, left out ({n})"),
     "boards_not_in_images": ("影像中未找到的标定板（{n}）", "Boards not found in images ({n})"),
     "h_clocks": ("时钟偏差", "Clocks"),
     "clocks_none": (

@@ -12,7 +12,7 @@ from campaign.sensors import MountingSheet, NavigationSheet, Rig
 from evaluator.boards.board_blunders import gauss_newton
 from evaluator.boards.board_model import BoardProblem, Views, observation_covariance, remap
 from evaluator.boards.board_observations import BoardObservation
-from evaluator.boards.board_strips import predicted_std
+from evaluator.boards.board_strips import predicted_std, rank_and_condition
 from evaluator.boards.mounting_by_boards import NAMES, BoardMounting, solve_board_problem
 from evaluator.model import EvaluationError
 
@@ -27,6 +27,7 @@ PIXEL_STD, CLOCK_STD = 0.02, 0.001
 NAVIGATION = {
     "apogee": ((0.01, 0.01, 0.015), (0.005, 0.005, 0.01)),
     "apx15": ((0.02, 0.02, 0.03), (0.025, 0.025, 0.08)),
+    "no base": ((0.5, 0.5, 1.0), (0.025, 0.025, 0.08)),
 }
 HEADINGS = (0.0, 180.0, 90.0, 270.0)
 
@@ -339,6 +340,59 @@ def test_single_heading_names_what_it_cannot_determine():
         assert weak[name]["std_with_it"] == pytest.approx(flown[name], rel=0.10)
     assert not solved(both, 1).not_determined
     json.dumps(block, allow_nan=False)
+    count = dict(zip(block["names"], block["half_window_count"]["estimates"], strict=True))
+    assert {n for n, v in count.items() if v is None} == set(weak)  # nor does the count give it a number
+
+
+def test_no_strip_is_said_to_help_that_does_not():
+    """Rationale: the height of the navigation is the boards' height whatever is flown. With 1 m of it lever arm z (prior 0.1 m)
+    is not determined, and one more strip would leave 0.097 of 0.098 m.
+
+    Expected: z is named, its deviation above half its prior is the cause, no strip is recommended and the reason says so; what
+    each strip would leave is there. Tolerance: 5 % of the deviation.
+    """
+    entry = next(e for e in solved(FULL, 3, "no base").not_determined if e["parameter"] == "camera_lever_arm_z")
+    assert entry["causes"] == ["prior"]
+    assert entry["helping_strip"] is None and entry["std_with_it"] is None
+    assert "none of the strips" in str(entry["reason"])
+    assert min(entry["std_with_each"].values()) == pytest.approx(entry["std"], rel=0.05)
+
+
+def test_rank_and_condition():
+    """Rationale: the full rank of one strip hides what the condition shows. Expected: rank 6 for both flights, a condition on
+    one strip at one height many times that of four headings at two heights; two equal columns lose a rank. Tolerance: 1e-9 of
+    the closed form: columns at an angle whose cosine is c have the condition sqrt((1 + c) / (1 - c)).
+    """
+    full, one = solved(FULL, 1), solved(flight(headings=(0.0,), heights=(45.0,), speeds=(5.0,)), 1)
+    print(full.condition, one.condition)
+    assert full.rank == one.rank == 6
+    assert full.condition is not None and one.condition is not None
+    assert one.condition > 5.0 * full.condition
+    c = 0.6
+    columns = np.array([[1.0, c], [0.0, np.sqrt(1.0 - c * c)]]) * np.array([3.0, 1e-3])
+    assert rank_and_condition(columns, np.eye(2)) == (2, pytest.approx(np.sqrt((1 + c) / (1 - c)), rel=1e-9))
+    assert rank_and_condition(columns[:, [0, 0]], np.eye(2)) == (1, None)
+
+
+def test_a_wild_count_is_named_and_left_out():
+    """Rationale: a shadow's edge or a leaf moves the half-window count by a third of the board, 17 px of 50, where the fit is
+    right to hundredths. Expected: that count is named and does not move the count's mounting; each board's both centres stand
+    in the results; the spread holds the wild one too. Tolerance: the estimates without that observation, 1e-9.
+    """
+    problem, views, observations = draw(FULL, 7)
+    wild = replace(observations[5], count_px=observations[5].count_px + np.array([17.0, 0.0]))
+    none = replace(observations[5], count_px=None)
+    found = solve_board_problem(problem, views, [*observations[:5], wild, *observations[6:]]).results_block()
+    without = solve_board_problem(problem, views, [*observations[:5], none, *observations[6:]]).results_block()
+    count = found["half_window_count"]
+    assert len(count["left_out"]) == 1 and f"{wild.target} in {wild.image}: 1" in count["left_out"][0]
+    assert count["observations"] == 63
+    assert count["estimates"] == pytest.approx(without["half_window_count"]["estimates"], abs=1e-9)
+    assert count["spread_against_fit_px"] > 1.0
+    row = found["residuals"][5]
+    assert [row["u_px"], row["v_px"]] == pytest.approx(wild.uv_px)
+    assert [row["count_u_px"], row["count_v_px"]] == wild.count_px.tolist()
+    assert without["residuals"][5]["count_u_px"] is None
 
 
 def test_a_survey_blunder_is_named_and_left_out():
