@@ -22,6 +22,7 @@ from evaluator.mounting.mounting_model import Problem, System
 PRIOR_SHARE, CORRELATED = 0.5, 0.95  # not determined: sigma above this share of its prior, or a correlation beyond this
 _AFTER_S = 60.0
 _FASTEST_M_S = {"multirotor": 16.0, "fixed_wing": 30.0}  # 7.3
+_HOVERING_M_S, _USUAL_M_S = 0.1, 5.0  # below it there is no course; what a candidate flies where nothing flew
 _STEP_S = 0.01
 _ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -95,7 +96,8 @@ def _partners(names: tuple[str, ...], covariance: np.ndarray) -> tuple[np.ndarra
 
 
 def flown_strips(problem: Problem) -> list[Strip]:
-    """Course, height and speed of every strip with observations, from the trajectory at their middle."""
+    """Course, height and speed of every strip with observations, from the trajectory at their middle. Of one that hovered
+    nothing but the height; it counts, to the north at a usual speed, where no other flew."""
     centre = np.mean([s.mark_world_m for s in problem.surveyed.values()], axis=0)
     times: dict[tuple[int, int], list[float]] = {}
     images: dict[tuple[int, int], set[float]] = {}
@@ -104,29 +106,29 @@ def flown_strips(problem: Problem) -> list[Strip]:
         times.setdefault((o.sortie, o.strip), []).append(o.gps_time_s)
     for m in problem.marks:
         images.setdefault((m.sortie, m.strip), set()).add(round(m.gps_time_s, 2))
-    out = []
+    out: list[Strip] = []
+    hovered: list[Strip] = []
     for (sortie, number), at in sorted(times.items()):
         trajectory = problem.trajectories[sortie]
         middle = np.array([0.5 * (min(at) + max(at))])
         position, _ = body_pose(trajectory, middle, problem.world_frame)
         velocity = body_rates(trajectory, middle, problem.world_frame)[0][0]
         speed = float(np.hypot(*velocity[:2]))
-        if speed < 0.1:
-            continue  # hovering: no course
-        along = np.array([*velocity[:2] / speed, 0.0])
+        still = speed < _HOVERING_M_S
+        along = np.array([0.0, 1.0, 0.0]) if still else np.array([*velocity[:2] / speed, 0.0])
         shots = np.array(sorted(images.get((sortie, number), set())))
         places = body_pose(trajectory, shots, problem.world_frame)[0] - centre
-        out.append(
+        (hovered if still else out).append(
             Strip(
                 name=f"strip {number} of sortie {sortie}",
                 sortie=sortie,
                 heading_rad=float(np.arctan2(along[0], along[1])),
                 height_m=float(position[0, 2] - centre[2]),
-                speed_m_s=speed,
+                speed_m_s=_USUAL_M_S if still else speed,
                 shots_m=tuple(float(v) for v in np.unique(np.round(places @ along, 1))),
             )
         )
-    return out
+    return out or hovered
 
 
 def candidate_strips(flown: list[Strip], kind: str = "multirotor") -> list[Strip]:

@@ -20,6 +20,7 @@ from evaluator.mounting.diagnosis import family_limit
 from evaluator.mounting.mounting_model import CLOCK_NAMES, System
 
 POWER = 0.95  # probability with which an error of the stated size is found
+_UNIT_WEIGHT = 1e-3  # tail probability of the residuals as a whole
 _UNKNOWN = 1e-9  # information (per unit squared) below which the observations say nothing of a quantity
 
 
@@ -175,6 +176,23 @@ def _line(doubt: Doubt) -> str:
     return (
         f"{doubt.quantity}: off by {doubt.shift:+.2g}{unit} (standard deviation {doubt.std:.1g}), "
         f"which moves {doubt.moves} by {moved:+.1f} of its standard deviations"
+    )
+
+
+def unit_weight_line(sigma0: float, redundancy: int) -> str | None:
+    """A line where the residuals as a whole are greater than all that is stated allows, after the observers' own variances were
+    estimated: what is left is what many observations share, the navigation before all. None where chance may be the reason.
+
+    The test is the global one: redundancy times sigma0 squared is chi-square.
+    """
+    if redundancy <= 0:
+        return None
+    limit = float(np.sqrt(scipy.stats.chi2.isf(_UNIT_WEIGHT, redundancy) / redundancy))
+    if sigma0 <= limit:
+        return None
+    return (
+        f"unit_weight: {sigma0:.2f} where chance allows {limit:.2f}; what many observations share is worse than stated, "
+        "the navigation before all, and the standard deviations are too small"
     )
 
 

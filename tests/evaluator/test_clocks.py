@@ -187,6 +187,16 @@ def test_a_single_strip_names_pitch_and_lever_arm() -> None:
     assert helping_strips(flight(8), *_solved(flight(8))) == []
 
 
+def test_a_flight_that_only_hovered_is_told_what_to_fly() -> None:
+    """Rationale: without a course there was no candidate, and pitch and lever arm x stood as not determined without a way out.
+    Expected: another height, half as high again as the 45 m, determines both."""
+    problem = flight(4, heights=(45.0,), speeds=(0.08,), headings=(0.0,))
+    weak = {w.name: w for w in helping_strips(problem, *_solved(problem))}
+    for name in ("lidar_boresight_pitch", "lidar_lever_arm_x"):
+        assert weak[name].strip == "another height (66 m)"
+        assert weak[name].strip_determines
+
+
 def _solved(problem) -> tuple[np.ndarray, np.ndarray]:
     solution = solve_mountings(problem, snoop=False)
     return solution.parameters, solution.covariance

@@ -14,7 +14,7 @@ from evaluator.camera_model import lens_from_vector, lens_vector
 from evaluator.mounting.adjustment import fit_problem, solve_mountings
 from evaluator.mounting.closure import closure
 from evaluator.mounting.mounting_model import Problem, System
-from evaluator.mounting.stated import Fitted, detectable_survey, examine, stated_columns
+from evaluator.mounting.stated import Fitted, detectable_survey, examine, stated_columns, unit_weight_line
 
 FLIGHTS = runpy.run_path(str(Path(__file__).with_name("flights.py")))
 flight, TRUE = FLIGHTS["flight"], FLIGHTS["TRUE"]
@@ -135,6 +135,29 @@ def test_two_at_once_are_both_named_and_nothing_like_them() -> None:
     lines = solve_mountings(wrong).companions["stated_in_doubt"]
     assert isinstance(lines, list)
     assert {line.split(":")[0] for line in lines} == {"camera_principal_distance_px", "ranging_additive_constant"}
+
+
+def test_a_navigation_worse_than_stated_is_told() -> None:
+    """Rationale: marks and vertices have variance factors, the navigation has none: with the errors of an APX-15 and the sheet of
+    an Apogee yaw is off by 9 of its standard deviations. Expected: the unit weight is named first (1.3-1.5 in six
+    seeds), past a limit that is (1 + 3.09 / sqrt(2 r)) for r redundant observations, to 1 %."""
+    worse = {"POSITION_STD": np.array([0.02, 0.02, 0.03]), "ATTITUDE_STD_DEG": np.array([0.025, 0.025, 0.08])}
+    settings = flight.__globals__
+    stated = {name: settings[name] for name in worse}
+    sheet = FLIGHTS["rig"](0.0)
+    try:
+        settings.update(worse)
+        problem = replace(flight(60), rig=sheet)
+    finally:
+        settings.update(stated)
+    solution = solve_mountings(problem)
+    lines = solution.companions["stated_in_doubt"]
+    assert isinstance(lines, list)
+    assert lines[0].startswith(f"unit_weight: {solution.sigma0:.2f} where chance allows ")
+    limit = 1.0 + 3.09 / np.sqrt(2.0 * solution.redundancy)
+    assert unit_weight_line(0.99 * limit, solution.redundancy) is None
+    assert unit_weight_line(1.01 * limit, solution.redundancy) is not None
+    assert unit_weight_line(9.0, 0) is None
 
 
 def test_clean_flights_raise_no_doubt_and_spread_as_stated() -> None:
