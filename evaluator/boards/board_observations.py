@@ -17,6 +17,7 @@ from evaluator.model import CampaignData, EvaluationError, Mounting, SortieData
 from evaluator.mounting.geometry import certified_lens, mean_band
 from evaluator.observe.boards import BoardFit, BoardView, find_board, sides_px
 
+MOST_OBSERVATIONS = 3000  # 0.3 GB a matrix, eight at a time
 _HAND_STD_PX = 0.5  # of a pixel that a person picked
 _SHADOW_SHARE = 0.6  # a board whose white has less than this of the others' lies in a shadow
 _OTHER_AZIMUTH, _OR = "the board that stands there has the azimuth of ", " or "
@@ -233,6 +234,17 @@ def boards_not_found(
         for b, lines in by_board.items()
         if b not in found
     }
+
+
+def thinned(observations: list[BoardObservation]) -> tuple[list[BoardObservation], int]:
+    """(observations that fit into memory, images left out): the adjustment holds matrices of twice their number squared. Of more
+    than it can hold every k-th image stays; navigation makes neighbours in time alike, so that little is lost."""
+    step = -(-len(observations) // MOST_OBSERVATIONS)
+    if step <= 1:
+        return observations, 0
+    images = sorted({(o.sortie, o.image) for o in observations})
+    kept = set(images[::step])
+    return [o for o in observations if (o.sortie, o.image) in kept], len(images) - len(kept)
 
 
 def swapped_by_azimuth(not_found: Mapping[str, str]) -> list[tuple[str, str]]:

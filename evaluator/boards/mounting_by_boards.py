@@ -16,12 +16,12 @@ from evaluator.algorithms.record import OWN_TOOLS, Tools
 from evaluator.algorithms.solvers import board_task, board_xi
 from evaluator.boards.board_blunders import (
     LEAST_BOARDS,
-    BoardFitted,
     place_shift,
     swapped_pairs,
     without_blunders,
 )
 from evaluator.boards.board_count import LEAST_OBSERVATIONS, by_count
+from evaluator.boards.board_determined import NAMES, TO_UNITS, UNITS, not_determined
 from evaluator.boards.board_model import BoardProblem, Views, navigation_part, remap, views_of
 from evaluator.boards.board_observations import (
     BoardObservation,
@@ -30,23 +30,14 @@ from evaluator.boards.board_observations import (
     observe_boards,
     surveyed_boards,
     swapped_by_azimuth,
+    thinned,
 )
-from evaluator.boards.board_strips import FREE_DATUM_M, helping_strips, predicted_std, rank_and_condition
+from evaluator.boards.board_strips import rank_and_condition
 from evaluator.frames import WorldFrame
 from evaluator.model import CampaignData, EvaluationError
 from evaluator.mounting.geometry import certified_lens
-from evaluator.mounting.mounting_model import PARAMETER_NAMES
 
-__all__ = ["BoardMounting", "observe_boards", "solve_by_boards"]
-
-NAMES = PARAMETER_NAMES[:6]
-UNITS = ("deg", "deg", "deg", "m", "m", "m")
-_TO_UNITS = np.array([np.degrees(1.0)] * 3 + [1.0] * 3)
-_PRIOR_SHARE, _CORRELATION = 0.5, 0.95  # beyond either a parameter is not determined
-_DATUM_SHARE = (
-    2.0  # growth of a deviation beyond which it rests on there being no shift of the boards against navigation
-)
-_HELPS = 0.8  # of the deviation a strip must leave, or less, to be called one that helps
+__all__ = ["NAMES", "BoardMounting", "observe_boards", "solve_by_boards"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +75,7 @@ class BoardMounting:
         None  # of the images' own normal equations, without priors: 6 when the images hold every parameter
     )
     condition: float | None = None
+    images_not_used: int = 0  # beyond what the adjustment can hold
     not_found: dict[str, str] = field(default_factory=dict)  # boards that no image shows well, and why
 
     @property
@@ -101,8 +93,8 @@ class BoardMounting:
         """For results.json; degrees and metres. A parameter that is not determined has no estimate."""
         weak = {str(entry["parameter"]) for entry in self.not_determined}
         std = np.sqrt(np.diag(self.covariance))
-        scaled = self.covariance * np.outer(_TO_UNITS, _TO_UNITS)
-        values = self.parameters * _TO_UNITS
+        scaled = self.covariance * np.outer(TO_UNITS, TO_UNITS)
+        values = self.parameters * TO_UNITS
         count = dict(self.count)
         if "estimates" in count:  # what the flight cannot determine has no value by the count either
             pairs = zip(self.names, cast("list[float]", count["estimates"]), strict=True)
@@ -112,8 +104,8 @@ class BoardMounting:
             "names": list(self.names),
             "units": list(UNITS),
             "estimates": [None if n in weak else float(v) for n, v in zip(self.names, values, strict=True)],
-            "std": [float(v) for v in std * _TO_UNITS],
-            "prior_std": [float(v) for v in self.prior_std * _TO_UNITS],
+            "std": [float(v) for v in std * TO_UNITS],
+            "prior_std": [float(v) for v in self.prior_std * TO_UNITS],
             "covariance": scaled.tolist(),
             "correlation": (self.covariance / np.outer(std, std)).tolist(),
             "rank": self.rank,
@@ -121,6 +113,7 @@ class BoardMounting:
             "not_determined": [dict(entry) for entry in self.not_determined],
             "boards": list(self.boards),
             "images": len({(r.sortie, r.image) for r in self.residuals if r.used}),
+            "images_not_used": self.images_not_used,
             "observations": sum(r.used for r in self.residuals),
             "mean_residual_px": self.mean_residual_px,
             "mean_residual_without_navigation_px": self.mean_adjusted_px,
@@ -183,60 +176,6 @@ def build_board_problem(data: CampaignData, observations: list[BoardObservation]
     return problem, views_of(observations, names, trajectories, WorldFrame(data.manifest))
 
 
-def _not_determined(
-    problem: BoardProblem, views: Views, fit: BoardFitted, covariance: np.ndarray
-) -> tuple[dict[str, object], ...]:
-    """What this flight leaves open, and the strip that would help.
-
-    Sigma above half its prior, or a correlation beyond 0.95; and sigma above half its prior, or twice what is stated, once all
-    boards may be shifted against the navigation: on one heading a lever arm and such a shift are the same, and a sigma that
-    rests on there being none is no determination, however many images or heights that heading has.
-    """
-    std = np.sqrt(np.diag(covariance))
-    free = predicted_std(problem, views, fit.xi, FREE_DATUM_M)
-    correlation = covariance / np.outer(std, std)
-    off = np.abs(correlation - np.eye(6))
-    most = _PRIOR_SHARE * problem.prior_std
-    by_datum = (free > most) | (free > _DATUM_SHARE * std)
-    weak = [i for i in range(6) if std[i] > most[i] or by_datum[i] or off[i].max() > _CORRELATION]
-    if not weak:
-        return ()
-    strips = helping_strips(problem, views, fit.xi)
-    entries: list[dict[str, object]] = []
-    for i in weak:
-        partner = int(np.argmax(off[i]))
-        name, with_it = min(strips, key=lambda s: s[1][i])
-        helps = bool(with_it[i] <= _HELPS * free[i])
-        causes = {
-            "prior": std[i] > most[i],
-            "datum": by_datum[i] and std[i] <= most[i],
-            "correlation": off[i, partner] > _CORRELATION,
-        }
-        words = {
-            "prior": "its standard deviation is above half its prior",
-            "datum": "the headings flown do not part it from a shift of all boards against the navigation",
-            "correlation": f"it is tied to {NAMES[partner]}",
-        }
-        entries.append(
-            {
-                "parameter": NAMES[i],
-                "unit": UNITS[i],
-                "reason": " and ".join(words[c] for c, holds in causes.items() if holds)
-                + ("" if helps else "; none of the strips that were tried would lessen it by a fifth"),
-                "causes": [c for c, holds in causes.items() if holds],
-                "std": float(std[i] * _TO_UNITS[i]),
-                "std_with_free_datum": float(free[i] * _TO_UNITS[i]),
-                "prior_std": float(problem.prior_std[i] * _TO_UNITS[i]),
-                "partner": NAMES[partner],
-                "correlation": float(correlation[i, partner]),
-                "helping_strip": name if helps else None,
-                "std_with_it": float(with_it[i] * _TO_UNITS[i]) if helps else None,
-                "std_with_each": {each: float(s[i] * _TO_UNITS[i]) for each, s in strips},
-            }
-        )
-    return tuple(entries)
-
-
 def solve_board_problem(problem: BoardProblem, views: Views, observations: list[BoardObservation]) -> BoardMounting:
     """S5 to S7 on numbers alone; see `solve_by_boards`."""
     uv = np.array([o.uv_px for o in observations], dtype=np.float64).reshape(-1, 2)
@@ -277,7 +216,7 @@ def solve_board_problem(problem: BoardProblem, views: Views, observations: list[
         parameters=fit.xi,
         covariance=fit.covariance,
         prior_std=problem.prior_std,
-        not_determined=_not_determined(problem, used, fit, fit.covariance),
+        not_determined=not_determined(problem, used, fit, fit.covariance),
         rejected=tuple(rejected),
         swapped=tuple((problem.boards[a], problem.boards[b]) for a, b in pairs),
         residuals=tuple(
@@ -297,7 +236,7 @@ def solve_board_problem(problem: BoardProblem, views: Views, observations: list[
         redundancy=redundancy,
         iterations=fit.iterations,
         boards=tuple(problem.boards[b] for b in np.unique(used.board)),
-        count=by_count(problem, used, [observations[i] for i in kept], fit, _TO_UNITS),
+        count=by_count(problem, used, [observations[i] for i in kept], fit, TO_UNITS),
         rank=rank,
         condition=condition,
     )
@@ -371,6 +310,7 @@ def solve_by_boards(
     The patent's steps S3 to S7; W. Baarda, A testing procedure for use in geodetic networks, 1968.
     """
     not_found = boards_not_found((t.id for t in boards(data)), reasons or {}, observations)
+    observations, left_out = thinned(observations)
     problem, views = build_board_problem(data, observations)
     if len(problem.boards) < LEAST_BOARDS and not_found:
         why = list(not_found.values())
@@ -387,4 +327,10 @@ def solve_by_boards(
         found = _as_answered(problem, views, observations, *board_xi(problem, answer))
     pairs = swapped_by_azimuth(not_found)
     lines = [f"{a} and {b} are swapped: each stands at the other's azimuth" for a, b in pairs]
-    return replace(found, rejected=(*found.rejected, *lines), swapped=(*found.swapped, *pairs), not_found=not_found)
+    return replace(
+        found,
+        rejected=(*found.rejected, *lines),
+        swapped=(*found.swapped, *pairs),
+        not_found=not_found,
+        images_not_used=left_out,
+    )

@@ -21,8 +21,11 @@ _LARGEST_STD_PX = 0.15
 _FLOOR_PX = 0.0005  # standard deviation below which no centre is stated
 _CORRELATED = 1.3  # factor on the deviation: neighbouring residuals have causes in common
 _START_BLUR_PX, _BLUR_PX = 0.6, (0.25, 2.0)  # standard deviation with the pixel's own square in it; what is believed
+_START = np.array([0.0] * 6 + [_START_BLUR_PX])  # of `_shares`: as predicted
 _SHAPE_STD = np.array([0.02, 0.035, 0.035, 0.02])  # of the predicted shape: 1 degree of mounting at 40 degrees of slant
 _MOST_OUTSIDE = 0.2  # share of a pixel outside the board; beyond, it says nothing about the centre
+_MOST_WHITE = 3.5  # times saturation, by the edges alone: beyond, centres went wrong by a pixel with 0.0005 px stated
+_SATURATED_SHARE = 0.3  # of a search window in which no board was found: more is the reason
 _SHADOW_SHARE = 0.6  # white in a shadow has less than this of the light of white in the sun
 
 
@@ -52,10 +55,6 @@ class BoardFit:
     pixels: int
 
 
-def _phi(z: np.ndarray) -> np.ndarray:
-    return np.asarray(scipy.special.ndtr(z))
-
-
 def _shares(view: BoardView, uv: np.ndarray, p: np.ndarray) -> np.ndarray:
     """Shares of white, black and the four sides' ground in pixels.
 
@@ -83,7 +82,7 @@ def _shares(view: BoardView, uv: np.ndarray, p: np.ndarray) -> np.ndarray:
     per_m = 1.0 / np.linalg.norm(slope, axis=2)  # pixels from edge to edge, a metre
     half = 0.5 * view.size_m
     blur = p[6]
-    middle, high, low = (_phi((q + at) * per_m / blur) for at in (0.0, -half, half))
+    middle, high, low = (scipy.special.ndtr((q + at) * per_m / blur) for at in (0.0, -half, half))
     positive, negative = middle - high, low - middle  # (n, 2) share with 0 < q < half, -half < q < 0
     white = positive[:, 0] * positive[:, 1] + negative[:, 0] * negative[:, 1]
     black = positive[:, 0] * negative[:, 1] + negative[:, 0] * positive[:, 1]
@@ -114,7 +113,7 @@ def _search(window: np.ndarray, view: BoardView) -> list[tuple[np.ndarray, float
     if window.shape[0] < rows or window.shape[1] < columns:
         return []
     u, v = np.meshgrid(np.arange(columns) - reach[0], np.arange(rows) - reach[1])
-    at = _shares(view, np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64), _start_parameters(0.0, 0.0))
+    at = _shares(view, np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64), _START)
     mask = (at[0] + at[1] > 0.8).reshape(rows, columns).astype(np.float32)
     template = (at[0] - at[1]).reshape(rows, columns).astype(np.float32)
     level = (window - window.mean()) / max(float(window.std()), 1e-9)
@@ -130,10 +129,6 @@ def _search(window: np.ndarray, view: BoardView) -> list[tuple[np.ndarray, float
         found.append((np.array([column + reach[0] + 0.5, row + reach[1] + 0.5]), best))
         score = np.where(np.hypot(row_at - row, column_at - column) > reach.min(), score, 0.0)
     return found
-
-
-def _start_parameters(du: float, dv: float) -> np.ndarray:
-    return np.array([du, dv, 0.0, 0.0, 0.0, 0.0, _START_BLUR_PX])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,10 +168,8 @@ def _refine(view: BoardView, uv: np.ndarray, value: np.ndarray, start: np.ndarra
                 return None
         at, y = uv[use], value[use]
         base = _shares(view, at, p)
-        fresh = iteration < 3 or state is None
-        if fresh:
+        if iteration < 3 or state is None:
             weight = np.ones(len(y))
-        assert fresh or state is not None
         levels = _levels(base, y) if state is None else state.levels
         model = levels @ base
         by_p = np.empty((len(y), 7))
@@ -293,6 +286,9 @@ def find_board(
     window = np.asarray(grey[low[1] : high[1], low[0] : high[0]], dtype=np.float64) - black_level
     candidates = _search(window, view)
     if not candidates:
+        saturated = float(np.mean(window >= clipped_at - black_level))
+        if saturated > _SATURATED_SHARE:
+            return f"over-exposed: {100.0 * saturated:.0f} % of the search window is saturated"
         if cut:
             return "part of the board lies outside the image"
         near = np.any(outline < search_px) or np.any(outline > size - search_px)
@@ -308,7 +304,7 @@ def find_board(
             reason = reason or fit
             continue
         moved = fit.uv_px + low
-        corners = moved + _outline_px(view)
+        corners = moved + outline - view.predicted_px
         if np.any(corners < -0.5) or np.any(corners > size + 0.5):
             reason = reason or "part of the board lies outside the image"
             continue
@@ -333,8 +329,8 @@ def _coarser(
     high = np.minimum(np.ceil((view.predicted_px + reach) / factor).astype(int), size // factor) * factor
     if np.any(high <= low):
         return "outside the image"
-    columns, rows = (high - low) // factor
-    blocks = grey[low[1] : high[1], low[0] : high[0]].reshape(rows, factor, columns, factor)
+    blocks = grey[low[1] : high[1], low[0] : high[0]]
+    blocks = blocks.reshape(len(blocks) // factor, factor, -1, factor)
     mean = blocks.mean(axis=(1, 3), dtype=np.float64)
     mean = np.where(blocks.max(axis=(1, 3)) >= clipped_at, np.maximum(mean, clipped_at), mean)
     shrink = np.diag([1.0 / factor, 1.0 / factor, 1.0])
@@ -368,8 +364,8 @@ def _fit_at(
     threshold = otsu_threshold(value)
     good = value < clipped_at
     uv, value = uv[good], value[good]
-    state = _refine(view, uv, value, _start_parameters(0.0, 0.0))
-    shares = _shares(view, uv, _start_parameters(0.0, 0.0) if state is None else state.p)
+    state = _refine(view, uv, value, _START)
+    shares = _shares(view, uv, _START if state is None else state.p)
     if state is None or not state.converged:
         return "a shadow lies across the board" if _shadow_across(shares, value) else "the fit does not converge"
     white, black = float(state.levels[0]), float(state.levels[1])
@@ -378,6 +374,8 @@ def _fit_at(
     std = float(np.sqrt(np.max(np.linalg.eigvalsh(covariance))))
     if _shadow_across(shares, value):
         return "a shadow lies across the board"
+    if white > _MOST_WHITE * clipped_at:
+        return f"over-exposed: white would be {white / clipped_at:.0f} times saturation"
     if contrast < _LEAST_CONTRAST:
         return f"contrast of {contrast:.2f} between the squares"
     if state.rms > _WORST_FIT * (white - black):

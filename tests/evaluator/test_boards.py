@@ -179,6 +179,20 @@ def test_reasons():
     assert "no board" in find_board(inverted, view, 8.0)
 
 
+def test_over_exposed_is_said():
+    """Rationale: far beyond saturation only edges and black squares are left, and the fit found centres that were off by a pixel
+    with 0.0005 px stated; with grass and white at full scale alike nothing is left, which is not "missing or in shadow".
+    Expected: over-exposure is the reason; a board at three times saturation keeps its centre. Tolerance: 0.05 px."""
+    image, view = picture((60.0, 60.0), 40.0, 20.0, noise=0.003, levels=(0.85, 0.01, 0.15))
+    for times in (20.0, 60.0):
+        reason = find_board(np.minimum(times * image, 1.0), view, 12.0, clipped_at=0.995)
+        assert isinstance(reason, str) and reason.startswith("over-exposed: "), reason
+    blank = find_board(np.ones((120, 120)), view, 12.0, clipped_at=0.995)
+    assert blank == "over-exposed: 100 % of the search window is saturated"
+    kept = find_board(np.minimum(3.0 * image / 0.85, 1.0), view, 12.0, clipped_at=0.995)
+    assert isinstance(kept, BoardFit) and kept.uv_px == pytest.approx([60.0, 60.0], abs=0.05)
+
+
 def test_clipped_white_is_not_used():
     """Rationale: white squares saturate easily. Expected: the centre from the pixels that do not. Tolerance: 0.02 px."""
     image, view = picture((60.3, 59.9), 40.0, 20.0, noise=0.003)

@@ -11,7 +11,7 @@ from campaign.config import Lens
 from campaign.sensors import MountingSheet, NavigationSheet, Rig
 from evaluator.boards.board_blunders import gauss_newton
 from evaluator.boards.board_model import BoardProblem, Views, observation_covariance, remap
-from evaluator.boards.board_observations import BoardObservation
+from evaluator.boards.board_observations import MOST_OBSERVATIONS, BoardObservation, thinned
 from evaluator.boards.board_strips import predicted_std, rank_and_condition
 from evaluator.boards.mounting_by_boards import NAMES, BoardMounting, solve_board_problem
 from evaluator.model import EvaluationError
@@ -356,6 +356,18 @@ def test_no_strip_is_said_to_help_that_does_not():
     assert entry["helping_strip"] is None and entry["std_with_it"] is None
     assert "none of the strips" in str(entry["reason"])
     assert min(entry["std_with_each"].values()) == pytest.approx(entry["std"], rel=0.05)
+
+
+def test_more_observations_than_memory_holds():
+    """Rationale: the adjustment's matrices have twice the observations squared: 100 boards in 60 images would ask for gigabytes.
+    Expected: whole images stay, evenly, at most the limit, and the number of those left out is told; few are untouched."""
+    _, _, observations = draw(FULL, 1)
+    assert thinned(observations) == (observations, 0)
+    many = [replace(o, image=f"{k:03d}_{o.image}") for k in range(120) for o in observations]
+    kept, left_out = thinned(many)
+    images = {(o.sortie, o.image) for o in kept}
+    assert len(kept) <= MOST_OBSERVATIONS and len(kept) == 8 * len(images)
+    assert left_out == 960 - len(images) and {o.sortie for o in kept} == {1, 2}
 
 
 def test_rank_and_condition():
