@@ -172,6 +172,11 @@ TABLE: dict[str, tuple[str, str]] = PLOT_TABLE | {
     "stated_shift": ("偏离", "shift"),
     "stated_detectable": ("可发现", "detectable"),
     "stated_moves": ("影响", "moves"),
+    "unit_weight_doubt": (
+        "单位权中误差超出偶然误差所允许的范围：多个观测值共有的误差（首先是导航）大于给定值，上述标准差偏小。",
+        "The standard deviation of unit weight is beyond what chance allows: what many observations share, the navigation "
+        "before all, is worse than stated, and the standard deviations above are too small.",
+    ),
     "stated_doubted": ("与观测值矛盾", "contradicted"),
     "h_three_ways": ("不同途径的结果", "By each way"),
     "three_ways_note": (
