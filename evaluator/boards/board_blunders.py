@@ -88,7 +88,7 @@ def gauss_newton(problem: BoardProblem, views: Views, uv: np.ndarray, start: np.
     raise EvaluationError("the adjustment of the boards does not converge", got="30 iterations")
 
 
-def _most_consistent(problem: BoardProblem, views: Views, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _most_consistent(problem: BoardProblem, views: Views, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Robust first values: the three boards whose mounting leaves the least median residual over all boards.
 
     Returns
@@ -96,6 +96,8 @@ def _most_consistent(problem: BoardProblem, views: Views, uv: np.ndarray) -> tup
     xi : (6,) np.ndarray
     gross : (b,) bool np.ndarray
         Boards far off under that mounting.
+    wild : (n,) bool np.ndarray
+        Observations far off under it.
     """
     count = len(problem.boards)
     triples = list(combinations(range(count), 3))
@@ -103,7 +105,7 @@ def _most_consistent(problem: BoardProblem, views: Views, uv: np.ndarray) -> tup
     if len(triples) > _MOST_SUBSETS:
         triples = [triples[i] for i in rng.choice(len(triples), _MOST_SUBSETS, replace=False)]
     weight = np.diag(problem.prior_std**-2.0)
-    best, best_score, best_norms = np.zeros(6), np.inf, np.zeros(count)
+    best, best_score, best_norms, each = np.zeros(6), np.inf, np.zeros(count), np.zeros(len(uv))
     for triple in triples:
         rows = np.flatnonzero(np.isin(views.board, triple))
         part = views.rows(rows)
@@ -118,8 +120,9 @@ def _most_consistent(problem: BoardProblem, views: Views, uv: np.ndarray) -> tup
         norms = np.array([np.median(np.nan_to_num(norm[views.board == b], nan=1e9)) for b in range(count)])
         score = float(np.median(norms))
         if score < best_score:
-            best, best_score, best_norms = xi, score, norms
-    return best, best_norms > _GROSS_PX + _GROSS_SIGMAS * best_score
+            best, best_score, best_norms, each = xi, score, norms, np.nan_to_num(norm, nan=1e9)
+    limit = _GROSS_PX + _GROSS_SIGMAS * best_score
+    return best, best_norms > limit, each > limit
 
 
 def _tests(fit: BoardFitted, views: Views) -> list[tuple[float, bool, np.ndarray]]:
@@ -207,10 +210,12 @@ def without_blunders(
     single: list[int] = []
     start = np.zeros(6)
     if len(problem.boards) > LEAST_BOARDS:
-        start, gross = _most_consistent(problem, views, uv)
+        start, gross, wild = _most_consistent(problem, views, uv)
         for b in np.flatnonzero(gross):
             boards[int(b)] = np.flatnonzero(views.board == b)
             use[boards[int(b)]] = False
+        single = [int(i) for i in np.flatnonzero(use & wild)]
+        use[single] = False
     while True:
         kept = np.flatnonzero(use)
         if len(np.unique(views.board[kept])) < LEAST_BOARDS or len(kept) < _MOST_REJECTED * len(uv):

@@ -197,6 +197,9 @@ def solve_board_problem(problem: BoardProblem, views: Views, observations: list[
         if b in in_pair:
             continue
         shift, _ = place_shift(problem, views, uv, fit, rows, b)
+        if not np.all(np.isfinite(shift)):
+            rejected.append(f"surveyed place of {problem.boards[b]}: no camera that saw it could see it there")
+            continue
         rejected.append(
             f"surveyed place of {problem.boards[b]}: {np.linalg.norm(shift):.3f} m off "
             f"(images minus survey: east {shift[0]:+.3f}, north {shift[1]:+.3f}, up {shift[2]:+.3f} m) in {len(rows)} images"

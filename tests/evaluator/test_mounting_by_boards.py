@@ -450,6 +450,21 @@ def test_one_wrong_pixel_costs_one_observation():
     assert len(found.boards) == 8
 
 
+def test_a_wild_pixel_or_place_costs_no_other_board():
+    """Rationale: a person's pixel may be a slip of the keyboard, a surveyed height one of the pen: 1e5 px, a board above the
+    aircraft. Expected: that observation, that board alone is named, no figure that is none. Tolerance: none."""
+    problem, views, observations = draw(FULL, 60)
+    for far in (300.0, 3000.0, 1e5):
+        slip = replace(observations[21], uv_px=observations[21].uv_px + far)
+        found = solve_board_problem(problem, views, [*observations[:21], slip, *observations[22:]])
+        assert found.rejected == (f"board {slip.target} in {slip.image}",)
+        assert np.abs((found.parameters - TRUE) / np.sqrt(np.diag(found.covariance))).max() < 3.5
+    high = problem.places_m.copy()
+    high[2, 2] += 200.0
+    found = solve_board_problem(replace(problem, places_m=high), views, observations)
+    assert found.rejected == ("surveyed place of B03: no camera that saw it could see it there",)
+
+
 def test_results_block_is_complete():
     """Rationale: the report and score read this block. Expected: degrees and metres, a correlation with ones, the count's
     companion with the spread of rounding (0.29 px). Tolerance: 1e-9; 0.03 px.
