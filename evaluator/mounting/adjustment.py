@@ -22,7 +22,7 @@ from evaluator.mounting.blunders import (
 )
 from evaluator.mounting.helping_strip import helping_strips
 from evaluator.mounting.mounting_model import KINDS, Problem, System, mounting_of
-from evaluator.mounting.stated import Fitted, detectable_survey, examine, unit_weight_line
+from evaluator.mounting.stated import Fitted, detectable_survey, examine
 
 _MOST_REJECTED = 0.25  # of all observations; more is no longer a matter of single blunders
 
@@ -230,10 +230,9 @@ def _stated_companions(solved: Solved) -> dict[str, object]:
     fit = solved.fit
     fitted = Fitted(factor=fit.factor, design=fit.design, covariance=fit.covariance, residual=fit.residual)
     doubts, lines = examine(solved.system, fit.x, fitted)
-    whole = unit_weight_line(solved.sigma0, solved.redundancy)
     return {
         "stated": [d.block() for d in doubts],
-        "stated_in_doubt": lines if whole is None else [whole, *lines],
+        "stated_in_doubt": lines,
         "detectable_survey_error": detectable_survey(solved.system, fitted),
     }
 

@@ -99,13 +99,14 @@ def _whole(column: np.ndarray, size: int) -> np.ndarray:
 def examine(system: System, x: np.ndarray, fit: Fitted) -> tuple[list[Doubt], list[str]]:
     """Every stated quantity alone, and those that the observations contradict, strongest first.
 
-    After the strongest is granted as an unknown the others are tested again, so that what only resembles it is not named too.
+    After the strongest is granted as an unknown the others are tested again, so that what only resembles it is not named too. The
+    lines hold the shifts of all that are granted together, and the unit weight is judged with them granted.
 
     Returns
     -------
     doubts : list of Doubt
     lines : list of str
-        One for each contradicted quantity.
+        One for the unit weight where it is beyond chance, one for each contradicted quantity.
     """
     columns = stated_columns(system, x)
     white = {
@@ -115,17 +116,23 @@ def examine(system: System, x: np.ndarray, fit: Fitted) -> tuple[list[Doubt], li
     limit = family_limit(len(columns))
     found = [_doubt(system, name, columns[name][0], white[name], fit, limit) for name in columns]
     doubts = [d for d in found if d is not None]
-    lines: list[str] = []
+    named: list[Doubt] = []
     left, now = {d.quantity: d for d in doubts}, fit
     while left:
         worst = max(left.values(), key=lambda d: abs(d.z))
         if abs(worst.z) <= limit:
             break
-        lines.append(_line(worst))
+        named.append(worst)
         now = _granted(now, white[worst.quantity])
         again = (_doubt(system, n, d.unit, white[n], now, limit) for n, d in left.items() if n != worst.quantity)
         left = {d.quantity: d for d in again if d is not None}
-    return doubts, lines
+    shifts = (now.covariance @ (now.design.T @ fit.residual))[fit.design.shape[1] :]
+    stds = np.sqrt(np.diag(now.covariance)[fit.design.shape[1] :])
+    alone = {d.quantity: d for d in doubts}
+    lines = [_line(alone[d.quantity], float(v), float(s)) for d, v, s in zip(named, shifts, stds, strict=True)]
+    redundancy = len(now.residual) - now.design.shape[1]
+    whole = unit_weight_line(float(np.sqrt(now.residual @ now.residual / max(redundancy, 1))), redundancy)
+    return doubts, lines if whole is None else [whole, *lines]
 
 
 def _doubt(system: System, name: str, unit: str, white: np.ndarray, fit: Fitted, limit: float) -> Doubt | None:
@@ -170,11 +177,11 @@ def _granted(fit: Fitted, white: np.ndarray) -> Fitted:
     )
 
 
-def _line(doubt: Doubt) -> str:
-    moved = doubt.z * doubt.by_sigma * doubt.std / doubt.detectable
+def _line(doubt: Doubt, shift: float, std: float) -> str:
+    moved = shift * doubt.by_sigma / doubt.detectable
     unit = f" {doubt.unit}" if doubt.unit else ""
     return (
-        f"{doubt.quantity}: off by {doubt.shift:+.2g}{unit} (standard deviation {doubt.std:.1g}), "
+        f"{doubt.quantity}: off by {shift:+.2g}{unit} (standard deviation {std:.1g}), "
         f"which moves {doubt.moves} by {moved:+.1f} of its standard deviations"
     )
 
