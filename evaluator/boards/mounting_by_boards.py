@@ -84,6 +84,11 @@ class BoardMounting:
         return float(np.mean([np.linalg.norm(r.residual_px) for r in self.residuals if r.used]))
 
     @property
+    def mean_vector_px(self) -> np.ndarray:
+        """(2,) mean of the residuals themselves: what no mounting took up in common. [px]"""
+        return np.asarray(np.mean([r.residual_px for r in self.residuals if r.used], axis=0))
+
+    @property
     def mean_adjusted_px(self) -> float:
         """The same with each image's pose adjusted: 1 cm and 0.005 degrees of navigation alone move a board by 0.7 px at 45 m
         (f = 3000 px), which no mounting can take away. [px]"""
@@ -116,6 +121,7 @@ class BoardMounting:
             "images_not_used": self.images_not_used,
             "observations": sum(r.used for r in self.residuals),
             "mean_residual_px": self.mean_residual_px,
+            "mean_residual_vector_px": self.mean_vector_px.tolist(),
             "mean_residual_without_navigation_px": self.mean_adjusted_px,
             "sigma0": self.sigma0,
             "redundancy": self.redundancy,

@@ -140,10 +140,12 @@ def test_ten_rendered_seeds(ten: list[Run]) -> None:
     print("z, a row for each seed:\n", z.round(2))
     print("angles' greatest error", np.abs(errors[:, :3]).max(axis=0).round(4), "deg")
     print("mean residual", raw.round(2), "px; without navigation", adjusted.round(2), "px")
+    vector = np.array([np.linalg.norm(run.found.mean_vector_px) for run in ten])
+    print("mean of the residuals' vectors, its length", vector.round(2), "px")
     print("seconds a seed", [round(run.seconds) for run in ten])
     assert np.sum(np.abs(z) <= 3.0) >= 58
     assert np.abs(errors[:, :3]).max() <= 0.02
-    assert adjusted.max() <= 0.5
+    assert adjusted.max() <= 0.5 and vector.max() <= 0.5
     assert raw.mean() < 1.0
     for run in ten:
         assert not run.found.rejected and not run.found.not_determined
