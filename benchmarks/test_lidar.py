@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from campaign import las
 from campaign.config import Config
+from campaign.flight import las
 from campaign.truth import TrueReturnsWriter
 from scenes.model import Mesh, Scene
 from simulator.flight import rig

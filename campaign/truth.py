@@ -18,9 +18,9 @@ from typing import Self
 import numpy as np
 from pydantic import Field
 
-from campaign.atomic import complete_file
 from campaign.config import Lens, Model, Vector3
 from campaign.errors import CampaignError
+from campaign.flight.trajectory import Trajectory
 from campaign.formats.text import (
     Parse,
     identifier,
@@ -33,7 +33,7 @@ from campaign.formats.text import (
     write_rows,
 )
 from campaign.manifest import TRUTH, ManifestFile, compare_files, sha256, walk
-from campaign.trajectory import Trajectory
+from campaign.writing.atomic import complete_file
 
 MAX_NPZ_BYTES = 4_000_000_000
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from campaign.trajectory import Trajectory
+from campaign.flight.trajectory import Trajectory
 from evaluator.frames import WorldFrame, body_pose
 
 _RATE_SPAN_S = 0.02  # rates of the body by differences over it: a tenth of a step's noise, far below any sway

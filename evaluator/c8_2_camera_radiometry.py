@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from campaign.bench import SphereExposure
+from campaign.benches.bench import SphereExposure
 from campaign.progress import Report, silent
 from evaluator.benches.bench_model import SphereResult, SphereSeries
 from evaluator.benches.series_trend import first_third, trend

@@ -7,8 +7,8 @@ The total station's side with (12) is in `evaluator.benches.total_station` and o
 import numpy as np
 from numpy.typing import ArrayLike
 
+from campaign.benches.ranging import RangingLine
 from campaign.progress import Report
-from campaign.ranging import RangingLine
 from evaluator.benches.bench_model import PanelRange, RangingResult
 from evaluator.benches.ranging_arrangement import differences_m2, in_doubt, misread
 from evaluator.benches.ranging_fit import MIN_PANELS, adjusted_constants, constants, range_residuals

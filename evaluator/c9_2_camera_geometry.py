@@ -12,10 +12,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from campaign.bench import BoardExposure, BoardSheet
+from campaign.benches.bench import BoardExposure, BoardSheet
+from campaign.benches.pictures import PictureSize, picture_size, read_picture
 from campaign.config import Lens
 from campaign.errors import TestrangeError
-from campaign.pictures import PictureSize, picture_size, read_picture
 from campaign.progress import Report
 from evaluator.benches.bench_model import BoardImage, ChessboardResult
 from evaluator.benches.board_adjustment import Observations, board_points

@@ -7,8 +7,8 @@ z forward. Camera calibration from chessboards does not live here.
 import numpy as np
 
 from campaign.config import Lens
+from campaign.flight.trajectory import Trajectory
 from campaign.sensors import CameraSheet
-from campaign.trajectory import Trajectory
 from evaluator.frames import WorldFrame, body_pose
 from evaluator.model import Mounting
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from campaign.errors import TestrangeError
-from campaign.las import StripReader
+from campaign.flight.las import StripReader
 from campaign.survey import SurveyedTarget
 from evaluator.camera_model import camera_points, ideal_px, project_exposure
 from evaluator.frames import WorldFrame

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from campaign.errors import TestrangeError
-from campaign.images import read_image, read_preview
+from campaign.flight.images import read_image, read_preview
+from campaign.flight.records import CameraObservation, Exposure, read_camera_observations
 from campaign.progress import Report, silent
-from campaign.records import CameraObservation, Exposure, read_camera_observations
 from campaign.threads import one_blas_thread
 from evaluator.algorithms.guard import Log, guarded
 from evaluator.algorithms.record import OWN, Algorithms, Tools

@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 import pyproj
 
+from campaign.flight.trajectory import Trajectory
 from campaign.manifest import Manifest
-from campaign.trajectory import Trajectory
 from evaluator.model import EvaluationError
 
 # GRS80, which CGCS2000's ellipsoid equals to 0.1 mm.

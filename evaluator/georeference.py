@@ -8,9 +8,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from campaign.las import Returns, StripReader
+from campaign.flight.las import Returns, StripReader
+from campaign.flight.trajectory import Trajectory
 from campaign.sensors import MountingSheet, Rig
-from campaign.trajectory import Trajectory
 from evaluator.frames import WorldFrame, body_pose, euler_rotation
 from evaluator.model import CampaignData, Mounting, RangeCorrection
 

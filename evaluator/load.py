@@ -6,15 +6,15 @@ from typing import TypeVar
 
 import numpy as np
 
-from campaign.bench import read_board, read_board_log, read_room, read_sphere_log
+from campaign.benches.bench import read_board, read_board_log, read_room, read_sphere_log
+from campaign.benches.ranging import line_path, read_line, read_readings, readings_path, scan_paths
 from campaign.errors import CampaignError, TestrangeError
+from campaign.flight.records import read_environment, read_exposures, read_plan
+from campaign.flight.trajectory import Trajectory, misplaced, read_trajectory
 from campaign.folder import CampaignFolder, SortieFolder
 from campaign.manifest import read_manifest
-from campaign.ranging import line_path, read_line, read_readings, readings_path, scan_paths
-from campaign.records import read_environment, read_exposures, read_plan
 from campaign.sensors import read_camera, read_lidar, read_rig
 from campaign.survey import far_targets, read_spectra, read_targets
-from campaign.trajectory import Trajectory, misplaced, read_trajectory
 from evaluator.model import BenchData, CampaignData, RangingData, SortieData
 from evaluator.observe.picks import read_picked_points
 

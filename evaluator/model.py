@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.bench import BoardExposure, BoardSheet, RoomSheet, SphereExposure
+from campaign.benches.bench import BoardExposure, BoardSheet, RoomSheet, SphereExposure
+from campaign.benches.ranging import RangingLine, StationReading
 from campaign.errors import TestrangeError
+from campaign.flight.records import EnvironmentRow, Exposure, FlightPlan
+from campaign.flight.trajectory import Trajectory
 from campaign.folder import CampaignFolder, SortieFolder
 from campaign.manifest import Manifest
-from campaign.ranging import RangingLine, StationReading
-from campaign.records import EnvironmentRow, Exposure, FlightPlan
 from campaign.sensors import CameraSheet, LidarSheet, Rig
 from campaign.survey import Spectra, SurveyedTarget
-from campaign.trajectory import Trajectory
 
 
 class EvaluationError(TestrangeError):

@@ -9,7 +9,7 @@ from typing import IO
 
 import numpy as np
 
-from campaign.las import Returns
+from campaign.flight.las import Returns
 from evaluator.georeference import TargetReturns
 
 Key = tuple[int, int, str]  # sortie, strip, target

@@ -1,6 +1,6 @@
 """The chessboard of the geometric bench (9.2.2) and the one lamp of its dark room (6.3.2 b). Plain data, no rendering.
 
-Board frame (campaign.bench.BoardSheet): origin at inner corner (0, 0), x along a row, y down, z away from the camera; the
+Board frame (campaign.benches.bench.BoardSheet): origin at inner corner (0, 0), x along a row, y down, z away from the camera; the
 board is a plane rectangle in z = 0. The square in the upper left corner of the pattern is black. Surfaces are grey and
 Lambertian, so that a picture in one band is a picture in any other, scaled by the lamp's spectrum.
 """

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from campaign.atomic import sync_file
+from campaign.writing.atomic import sync_file
 
 MAX_BYTES = 64_000_000
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from campaign.config import Config
-from campaign.records import EnvironmentRow, FlightPlan, PlannedStrip
+from campaign.flight.records import EnvironmentRow, FlightPlan, PlannedStrip
 from campaign.survey import Spectra, SurveyedTarget
 from scenes.model import Scene, Target
 from scenes.sunsky import sun_sky

@@ -6,10 +6,11 @@ Each part stands alone: what is not asked for leaves no trace in the folder.
 from importlib.metadata import version
 from pathlib import Path
 
-from campaign import manifest, records, sensors, survey, trajectory
+from campaign import manifest, sensors, survey
 from campaign import truth as truth_files
-from campaign.bench import RoomSheet, write_room
+from campaign.benches.bench import RoomSheet, write_room
 from campaign.config import Config
+from campaign.flight import records, trajectory
 from campaign.folder import CampaignFolder, SortieFolder
 from campaign.progress import Report, silent
 from campaign.threads import one_blas_thread

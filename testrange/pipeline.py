@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from campaign.atomic import complete_folder
 from campaign.config import Config, Part
 from campaign.errors import CampaignError, TestrangeError
-from campaign.resume import resumable_folder
+from campaign.writing.atomic import complete_folder
+from campaign.writing.resume import resumable_folder
 from evaluator.documents.model import Language
 from evaluator.model import EvaluationError
 from evaluator.results import Evaluation, write_results
@@ -147,7 +147,7 @@ def _task(config: Config, *more: object) -> str:
 
 def _refuse_unsound(campaign: Path, keep_going: bool) -> list[str]:
     """The errors of a folder, one line each; without `keep_going` the first of them ends the evaluation."""
-    from campaign.check import check_campaign
+    from campaign.checks.folder import check_campaign
 
     lines = [f"{p.where}: {p.message}" for p in check_campaign(campaign, truth=False) if p.severity == "error"]
     if lines and not keep_going:
@@ -258,7 +258,7 @@ def run(
 
 def score(campaign: Path, results: Path) -> tuple[Score, Path]:
     """Scores results.json (or the folder that holds it) against the campaign's truth; score.json is written beside it."""
-    from campaign.atomic import complete_file
+    from campaign.writing.atomic import complete_file
 
     file = results / "results.json" if results.is_dir() else results
     scored = score_campaign(campaign, file)
@@ -299,7 +299,7 @@ def _require_kind(out: Path, *suffixes: str) -> None:
 
 def picture(run_folder: Path, out: Path, progress: ProgressCallback) -> None:
     """One composite picture of a run: image with overlays, waveforms, grades."""
-    from campaign.atomic import complete_file
+    from campaign.writing.atomic import complete_file
     from evaluator.evaluate import evaluate_campaign
     from evaluator.report import hero_picture
 
@@ -311,7 +311,7 @@ def picture(run_folder: Path, out: Path, progress: ProgressCallback) -> None:
 
 def archive(place: Path, results: Path | None, out: Path, progress: ProgressCallback) -> Path:
     """One verifiable package (10.3) of a campaign and its results; a run's folder has both."""
-    from campaign.archive import write_archive
+    from campaign.archive.pack import write_archive
 
     campaign = _campaign_of(place)
     write_archive(campaign, results or _results_of(place, campaign), out, progress)
@@ -352,7 +352,7 @@ def view(place: Path, out: Path | None, progress: ProgressCallback, language: La
 
 def record(place: Path, out: Path, progress: ProgressCallback) -> list[str]:
     """A recording with a time line for the viewer of the extra `rerun`; returns what could not be shown."""
-    from campaign.atomic import complete_file
+    from campaign.writing.atomic import complete_file
     from evaluator.evaluate import evaluate_campaign
     from evaluator.scores.score_points import point_errors
     from testrange.rerun_log import write_rrd

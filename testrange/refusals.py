@@ -3,9 +3,9 @@
 import os
 from pathlib import Path
 
-from campaign.atomic import check_target
 from campaign.config import Config
 from campaign.errors import ConfigError
+from campaign.writing.atomic import check_target
 
 CACHE = "--cache, render.cache"
 

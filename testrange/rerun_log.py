@@ -13,10 +13,10 @@ import cv2
 import matplotlib
 import numpy as np
 
-from campaign.atomic import complete_file
 from campaign.errors import TestrangeError
-from campaign.images import read_preview
-from campaign.trajectory import ADJUSTED_OFFSET_S
+from campaign.flight.images import read_preview
+from campaign.flight.trajectory import ADJUSTED_OFFSET_S
+from campaign.writing.atomic import complete_file
 from evaluator.frames import WorldFrame, body_pose
 from evaluator.model import CampaignData
 from evaluator.results import Evaluation

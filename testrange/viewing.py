@@ -6,7 +6,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
-from campaign.archive_lists import results_campaign
+from campaign.archive.lists import results_campaign
 from campaign.errors import TestrangeError
 from campaign.manifest import read_manifest
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from campaign.config import Config
 from campaign.progress import Report, silent
-from campaign.resume import sweep
 from campaign.threads import THREADS_VARIABLE, thread_count
+from campaign.writing.resume import sweep
 from simulator.journal import Journal, finished_units
 from testrange.cluster import end_runs, share_on_cluster
 

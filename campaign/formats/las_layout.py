@@ -1,7 +1,7 @@
 """How LAS records lie in a file: record tables of PDRF 0-10, and a header whose every count is checked against the file's size.
 
 Nothing is trusted: lengths and offsets are compared with the size of the file before memory is taken for them. Reading and
-writing of returns stands in `campaign.las`.
+writing of returns stands in `campaign.flight.las`.
 """
 
 import struct

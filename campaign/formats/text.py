@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from campaign.atomic import complete_file
 from campaign.errors import CampaignError
+from campaign.writing.atomic import complete_file
 
 MAX_CSV_BYTES = 30_000_000  # a row takes some twenty times its bytes while it is read
 MAX_JSON_BYTES = 50_000_000

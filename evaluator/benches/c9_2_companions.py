@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from campaign.bench import BoardSheet
+from campaign.benches.bench import BoardSheet
 from campaign.config import Lens
 from evaluator.benches.bench_model import BoardImage
 from evaluator.benches.board_adjustment import Observations, Poses, adjust, poses_only

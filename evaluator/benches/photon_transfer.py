@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from campaign.bench import SphereExposure
+from campaign.benches.bench import SphereExposure
+from campaign.benches.pictures import read_picture
 from campaign.errors import TestrangeError
-from campaign.pictures import read_picture
 from evaluator.model import CampaignData
 
 _SIDE_PX = 256  # of the window about the middle: flat light, few bytes

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.ranging import RangingLine, StationReading
+from campaign.benches.ranging import RangingLine, StationReading
 from evaluator.benches.bench_model import PanelRange
 from evaluator.benches.ranging_fit import MIN_PANELS, adjusted_constants
 from evaluator.benches.ranging_observations import (

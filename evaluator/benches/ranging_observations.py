@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from campaign.benches.ranging import RangingLine
 from campaign.errors import TestrangeError
 from campaign.progress import Report
-from campaign.ranging import RangingLine
 from evaluator.benches.bench_model import PanelRange
 from evaluator.benches.total_station import CLASS_MM, StationResult, readings_of, stations_of
 from evaluator.load import in_folder

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from campaign.ranging import PRESSURE_HPA, TEMPERATURE_C, RangingLine, StationReading, TotalStation
+from campaign.benches.ranging import PRESSURE_HPA, TEMPERATURE_C, RangingLine, StationReading, TotalStation
 from evaluator.model import EvaluationError
 
 MIN_READINGS = 5  # of each panel, 9.1.2 c

@@ -10,8 +10,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from campaign.config import Lens
+from campaign.flight.trajectory import Trajectory
 from campaign.sensors import Rig
-from campaign.trajectory import Trajectory
 from evaluator.boards.board_observations import BoardObservation
 from evaluator.camera_model import project_with_jacobian
 from evaluator.frames import WorldFrame, body_pose, euler_angles, euler_rates, euler_rotation

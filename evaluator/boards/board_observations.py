@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from campaign.config import Lens
-from campaign.records import CameraObservation, Exposure
+from campaign.flight.records import CameraObservation, Exposure
 from campaign.survey import SurveyedTarget
 from evaluator.camera_model import camera_points, project, project_exposure, row_time
 from evaluator.frames import WorldFrame, body_pose

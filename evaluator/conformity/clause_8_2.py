@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from campaign.bench import SphereExposure
+from campaign.benches.bench import SphereExposure
 from evaluator.benches.bench_model import SphereSeries
 from evaluator.conformity.clause_6_3 import has_sphere
 from evaluator.conformity.model import ConformityInputs, Row, missing, passed, percent, row

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from campaign.ranging import TotalStation
+from campaign.benches.ranging import TotalStation
 from evaluator.benches.ranging_fit import LEAST_P
 from evaluator.benches.ranging_observations import BESIDE_SHARE
 from evaluator.benches.total_station import air_notes, stations_of

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pvlib.solarposition  # type: ignore[import-untyped]
 
-from campaign.trajectory import Trajectory
+from campaign.flight.trajectory import Trajectory
 from evaluator.conformity.model import ConformityInputs
 from evaluator.model import CampaignData
 

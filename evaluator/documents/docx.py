@@ -18,7 +18,7 @@ from docx.oxml.ns import qn
 from docx.shared import Mm, Pt, RGBColor
 from docx.text.paragraph import Paragraph as WordParagraph
 
-from campaign.atomic import complete_file
+from campaign.writing.atomic import complete_file
 from evaluator.documents.cells import TITLE_LENGTH, Placed, alignment, clean, kept_together, one_line, placed, shares
 from evaluator.documents.docx_table import BODY, HEAD, RULE, cell_xml, row_xml, table_element
 from evaluator.documents.model import (

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from campaign.records import FlightPlan, PlannedStrip
+from campaign.flight.records import FlightPlan, PlannedStrip
 from evaluator.conformity.clause_7 import flight_height
 from evaluator.documents.drawing import picture
 from evaluator.documents.flight_sketch import map_points, sketch

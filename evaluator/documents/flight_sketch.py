@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawn
 from matplotlib.patches import Polygon, Rectangle
 
+from campaign.flight.records import FlightPlan
 from campaign.manifest import Manifest
-from campaign.records import FlightPlan
 from evaluator.documents.map_sheet import Sheet, degrees_minutes_seconds, sheet_at
 from evaluator.documents.model import Language, say
 from evaluator.model import CampaignData

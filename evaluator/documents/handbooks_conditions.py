@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from campaign.records import EnvironmentRow
+from campaign.flight.records import EnvironmentRow
 from campaign.survey import SurveyedTarget
 from evaluator.documents.handbooks_common import beijing, span
 from evaluator.documents.model import Cell, Figure, Language, say

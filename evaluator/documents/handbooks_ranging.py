@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from campaign.ranging import RangingLine, StationReading, TotalStation
+from campaign.benches.ranging import RangingLine, StationReading, TotalStation
 from evaluator.benches.total_station import (
     HUMIDITY_PERCENT,
     corrected_slope_distance,

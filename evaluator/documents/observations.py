@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.records import (
+from campaign.flight.records import (
     CameraObservation,
     LidarObservation,
     write_camera_observations,

@@ -12,7 +12,7 @@ from typing import Any
 import pylopdf_fonts_zh_cn
 import typst
 
-from campaign.atomic import complete_file
+from campaign.writing.atomic import complete_file
 from evaluator.documents.cells import (
     TITLE_LENGTH,
     alignment,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from campaign.config import Lens
-from campaign.records import CameraObservation, Exposure
+from campaign.flight.records import CameraObservation, Exposure
 from campaign.sensors import CameraSheet
 from campaign.survey import SurveyedTarget
 from evaluator.algorithms.record import OWN_TOOLS, Tools

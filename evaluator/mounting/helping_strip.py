@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg
 
 from campaign.config import Lens
-from campaign.trajectory import Trajectory
+from campaign.flight.trajectory import Trajectory
 from evaluator.body_rates import body_rates
 from evaluator.camera_model import project
 from evaluator.frames import WorldFrame, body_pose, euler_angles, euler_rotation

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from campaign.config import Lens
+from campaign.flight.trajectory import Trajectory
 from campaign.sensors import NavigationSheet, Rig
-from campaign.trajectory import Trajectory
 from evaluator.body_rates import body_rates
 from evaluator.camera_model import project_with_jacobian
 from evaluator.frames import WorldFrame, body_pose, euler_angles, euler_rates, euler_rotation, skew

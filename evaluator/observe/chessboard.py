@@ -247,7 +247,7 @@ def find_corners(
     Parameters
     ----------
     picture : (height, width, bands) uint8 or uint16 np.ndarray
-        As `campaign.pictures.read_picture` gives it. [DN]
+        As `campaign.benches.pictures.read_picture` gives it. [DN]
     columns, rows : int
         Inner corners.
     black_level : float

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from campaign.las import StripReader
+from campaign.flight.las import StripReader
 from evaluator.algorithms.record import OWN_TOOLS, Tools
 from evaluator.algorithms.slots import AlgorithmFailure, EchoTask
 from evaluator.georeference import TargetReturns

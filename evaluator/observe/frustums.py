@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from campaign.flight.trajectory import Trajectory
 from campaign.sensors import LidarSheet
 from campaign.survey import SurveyedTarget
-from campaign.trajectory import Trajectory
 from evaluator.algorithms.slots import FoundVertex, VertexTask
 from evaluator.frames import WorldFrame, body_pose, euler_rotation
 from evaluator.model import Mounting, VertexObservation

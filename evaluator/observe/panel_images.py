@@ -10,10 +10,10 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from campaign.config import Lens
-from campaign.records import CameraObservation, Exposure
+from campaign.flight.records import CameraObservation, Exposure
+from campaign.flight.trajectory import Trajectory
 from campaign.sensors import CameraSheet
 from campaign.survey import SurveyedTarget
-from campaign.trajectory import Trajectory
 from evaluator.camera_model import camera_points, project_exposure
 from evaluator.frames import WorldFrame
 from evaluator.model import EvaluationError, Mounting

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from campaign.errors import CampaignError
-from campaign.las import StripReader
+from campaign.flight.las import StripReader
 from campaign.sensors import LidarSheet
 from campaign.survey import SurveyedTarget
 from evaluator.algorithms.record import OWN_TOOLS, Tools

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from campaign.errors import CampaignError, TestrangeError
+from campaign.flight.las import StripReader
+from campaign.flight.records import read_lidar_observations
 from campaign.folder import SortieFolder
-from campaign.las import StripReader
-from campaign.records import read_lidar_observations
 from evaluator.georeference import TargetReturns
 from evaluator.model import CampaignData, VertexObservation
 from evaluator.observe.panels import LidarPanelObservation

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from campaign.scans import ScanPoints, read_scan
+from campaign.benches.scans import ScanPoints, read_scan
 from evaluator.model import EvaluationError
 
 GATE_M = 0.6  # measured minus true range, at most

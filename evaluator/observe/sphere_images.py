@@ -1,7 +1,7 @@
 """The nine central pixels of an image of the integrating sphere (8.2.2 g), above the black level.
 
-Images may be full frames of many megapixels in any format that `campaign.pictures` reads; of an uncompressed TIFF only three
-rows are read.
+Images may be full frames of many megapixels in any format that `campaign.benches.pictures` reads; of an uncompressed TIFF only
+three rows are read.
 """
 
 from collections.abc import Sequence
@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from campaign.benches.pictures import PictureSize, picture_size, read_picture
 from campaign.errors import CampaignError
-from campaign.images import first_page, open_tiff, read_tags
-from campaign.pictures import PictureSize, picture_size, read_picture
+from campaign.flight.images import first_page, open_tiff, read_tags
 from campaign.sensors import CameraSheet
 
 SIDE_PX = 3

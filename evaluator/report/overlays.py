@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from campaign.errors import TestrangeError
-from campaign.images import read_image, read_preview
-from campaign.records import Exposure
+from campaign.flight.images import read_image, read_preview
+from campaign.flight.records import Exposure
 from campaign.sensors import CameraSheet
 from evaluator.camera_model import project_exposure
 from evaluator.frames import WorldFrame

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 
 from campaign.errors import TestrangeError
-from campaign.images import read_preview
+from campaign.flight.images import read_preview
 from evaluator.c10_1_grading import GRADE_ZH, INDICATORS
 from evaluator.documents.model import printed_unit
 from evaluator.model import CampaignData

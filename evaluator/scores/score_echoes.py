@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from campaign.flight.las import Returns, StripReader
 from campaign.folder import CampaignFolder
-from campaign.las import Returns, StripReader
 from campaign.truth import read_true_returns, read_truth
 from evaluator.algorithms.slots import AlgorithmFailure, EchoTask, FoundEchoes
 from evaluator.frames import WorldFrame

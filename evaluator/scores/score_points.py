@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from campaign.errors import CampaignError
+from campaign.flight.trajectory import Trajectory
 from campaign.folder import CampaignFolder
 from campaign.manifest import read_manifest
-from campaign.trajectory import Trajectory
 from campaign.truth import Truth, read_true_returns, read_true_trajectories, read_truth
 from evaluator.frames import WorldFrame
 from evaluator.georeference import world_points

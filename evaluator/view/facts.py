@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from campaign.flight.trajectory import beijing_time
 from campaign.survey import SurveyedTarget
-from campaign.trajectory import beijing_time
 from evaluator.results import Evaluation
 from evaluator.view.flight import CameraPose
 

@@ -10,7 +10,7 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from campaign.atomic import complete_file
+from campaign.writing.atomic import complete_file
 from evaluator.documents.cells import TITLE_LENGTH, clean, one_line
 from evaluator.frames import WorldFrame
 from evaluator.report.style import font_uri

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from campaign.errors import TestrangeError
-from campaign.las import Returns, StripReader
+from campaign.flight.las import Returns, StripReader
 from campaign.survey import SurveyedTarget
 from evaluator.frames import WorldFrame, body_pose
 from evaluator.georeference import corrected_points, nominal_mountings

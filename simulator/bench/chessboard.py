@@ -21,12 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign import images
-from campaign.atomic import complete_file
-from campaign.bench import BoardExposure, BoardSheet, write_board, write_board_log
+from campaign.benches.bench import BoardExposure, BoardSheet, write_board, write_board_log
 from campaign.config import Camera, Config, Faults, Lens
+from campaign.flight import images
 from campaign.folder import CampaignFolder
 from campaign.progress import Report
+from campaign.writing.atomic import complete_file
 from scenes.chessboard import LAMP_CAMERA_M, Board, board_of, board_scene, lamp_intensity
 from simulator.bench.placements import (
     Placement,

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from campaign import images
-from campaign.bench import SphereExposure, write_sphere_log
+from campaign.benches.bench import SphereExposure, write_sphere_log
 from campaign.config import Camera, Config, Sphere
 from campaign.errors import ConfigError
+from campaign.flight import images
 from campaign.folder import CampaignFolder
 from campaign.progress import Report
 from campaign.threads import one_blas_thread

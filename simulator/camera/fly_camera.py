@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign import images, records
 from campaign import truth as truth_files
 from campaign.config import Config
+from campaign.flight import images, records
 from campaign.folder import CampaignFolder
 from campaign.progress import Report
 from simulator import record_truth

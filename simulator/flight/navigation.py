@@ -8,7 +8,7 @@ roll, pitch and heading.
 import numpy as np
 
 from campaign.config import NAVIGATION_GRADES, Config, Vector3
-from campaign.trajectory import Trajectory
+from campaign.flight.trajectory import Trajectory
 from simulator.flight.frames import ENU_FROM_NED, SiteFrame, rpy_from_rotation
 from simulator.flight.motion import Motion
 from simulator.randomness import Stream, generator

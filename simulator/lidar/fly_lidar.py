@@ -5,9 +5,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from campaign import las
 from campaign import truth as truth_files
 from campaign.errors import ConfigError
+from campaign.flight import las
 from campaign.folder import CampaignFolder
 from campaign.progress import Report
 from simulator.flight import rig

@@ -11,11 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from campaign.config import Config, TotalStationModel
-from campaign.errors import ConfigError
-from campaign.folder import CampaignFolder
-from campaign.progress import Report
-from campaign.ranging import (
+from campaign.benches.ranging import (
     RangingLine,
     RangingPanel,
     StationReading,
@@ -26,7 +22,11 @@ from campaign.ranging import (
     write_line,
     write_readings,
 )
-from campaign.scans import ScanPoints, joined, write_scan
+from campaign.benches.scans import ScanPoints, joined, write_scan
+from campaign.config import Config, TotalStationModel
+from campaign.errors import ConfigError
+from campaign.folder import CampaignFolder
+from campaign.progress import Report
 from campaign.threads import one_blas_thread
 from campaign.truth import TrueRanging
 from scenes.model import Scene

@@ -17,7 +17,7 @@ import numpy as np
 
 from campaign.config import Config, Faults, Lidar
 from campaign.errors import ConfigError
-from campaign.las import Returns
+from campaign.flight.las import Returns
 from campaign.threads import thread_count
 from campaign.truth import TrueReturns
 from scenes.model import Scene

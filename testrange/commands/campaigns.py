@@ -210,12 +210,12 @@ def check(path: str, /, *, set_: Settings = (), json: Json = False) -> int:
     path
         A campaign folder, an archive, a TOML file, or the name of one in configs/campaigns.
     """
-    from campaign.archive_check import check_archive, is_archive
+    from campaign.archive.check import check_archive, is_archive
 
     if is_archive(Path(path)):
         found = [(p.severity, p.where, p.message) for p in check_archive(Path(path))]
     elif Path(path).is_dir():
-        from campaign.check import check_campaign
+        from campaign.checks.folder import check_campaign
         from testrange.pipeline import inside_run
 
         found = [(p.severity, p.where, p.message) for p in check_campaign(inside_run(Path(path)))]

@@ -43,8 +43,8 @@ def compare(
     time_limit
         Seconds that one call of an algorithm, or one run of a program, may take; 60 and 3600 by default.
     """
-    from campaign.atomic import complete_folder
     from campaign.errors import ConfigError
+    from campaign.writing.atomic import complete_folder
     from testrange import tables
     from testrange.compare import compare_campaigns, parse_contenders
     from testrange.compare.table import print_comparison

@@ -71,7 +71,7 @@ def answer(out: Path, /, *, pairs: PairsFolder = None, quiet: Quiet = False) -> 
     """
     from json import dumps
 
-    from campaign.atomic import complete_file
+    from campaign.writing.atomic import complete_file
     from testrange.pairs.ours import ours
 
     answers = ours(_pairs(pairs, quiet))

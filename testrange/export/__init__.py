@@ -9,10 +9,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Literal, cast, get_args
 
-from campaign.atomic import complete_file, complete_folder
 from campaign.errors import CampaignError
 from campaign.progress import Report, silent
 from campaign.threads import one_blas_thread
+from campaign.writing.atomic import complete_file, complete_folder
 from testrange.export.source import Source, open_source
 
 Format = Literal["colmap", "odm", "clouds", "mcap"]

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from campaign.atomic import readable_os_errors
 from campaign.errors import CampaignError
 from campaign.formats.text import write_text
 from campaign.progress import Report
+from campaign.writing.atomic import readable_os_errors
 from evaluator.frames import body_pose
 from evaluator.model import Mounting, SortieData
 from testrange.export import cdr

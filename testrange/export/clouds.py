@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.atomic import complete_file
+from campaign.flight.las import Returns
 from campaign.formats.text import write_text
-from campaign.las import Returns
 from campaign.progress import Report
+from campaign.writing.atomic import complete_file
 from evaluator.model import SortieData
 from testrange.export.pairs import SECONDS, write_pairs
 from testrange.export.readme import page, world_frame

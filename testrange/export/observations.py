@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from campaign.errors import TestrangeError
+from campaign.flight.records import CameraObservation, read_camera_observations
 from campaign.progress import Report
-from campaign.records import CameraObservation, read_camera_observations
 from evaluator.boards.board_observations import observe_boards
 from evaluator.georeference import nominal_mountings
 from evaluator.model import SortieData

@@ -6,8 +6,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from campaign.atomic import complete_file
 from campaign.errors import CampaignError
+from campaign.flight.images import read_image
+from campaign.flight.trajectory import beijing_time
 from campaign.formats.exif import (
     ASCII,
     BYTE,
@@ -27,9 +28,8 @@ from campaign.formats.exif import (
     jpeg_segment,
     xmp_packet,
 )
-from campaign.images import read_image
 from campaign.sensors import CameraSheet
-from campaign.trajectory import beijing_time
+from campaign.writing.atomic import complete_file
 from testrange.export.source import Shot, Source
 
 JPEG_QUALITY = 95

@@ -14,11 +14,11 @@ import numpy as np
 
 from campaign.config import Lens
 from campaign.errors import CampaignError
-from campaign.las import Returns, StripReader
-from campaign.records import Exposure
+from campaign.flight.las import Returns, StripReader
+from campaign.flight.records import Exposure
+from campaign.flight.trajectory import Trajectory
 from campaign.sensors import CameraSheet, Rig
 from campaign.survey import SurveyedTarget
-from campaign.trajectory import Trajectory
 from evaluator.camera_model import LENS_NAMES, lens_from_vector
 from evaluator.frames import WorldFrame, body_pose, euler_angles
 from evaluator.georeference import corrected_points, lidar_points, nominal_mountings, select_returns

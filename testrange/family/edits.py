@@ -10,11 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from campaign.bench import read_board_log, read_room, read_sphere_log, write_board_log, write_room, write_sphere_log
+from campaign.benches.bench import (
+    read_board_log,
+    read_room,
+    read_sphere_log,
+    write_board_log,
+    write_room,
+    write_sphere_log,
+)
+from campaign.benches.ranging import read_readings, readings_path, write_readings
+from campaign.flight.records import FlightPlan, read_plan, write_plan
 from campaign.folder import CampaignFolder
 from campaign.manifest import read_manifest, write_manifest
-from campaign.ranging import read_readings, readings_path, write_readings
-from campaign.records import FlightPlan, read_plan, write_plan
 from campaign.survey import SurveyedTarget, read_spectra, read_targets, write_spectra, write_targets
 
 Edit = Callable[[CampaignFolder], None]

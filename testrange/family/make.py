@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from campaign.atomic import complete_file, complete_folder
 from campaign.config import Config, Faults
 from campaign.errors import CampaignError, TestrangeError
 from campaign.load import dump_toml
 from campaign.manifest import read_manifest, write_manifest
 from campaign.progress import Report
+from campaign.writing.atomic import complete_file, complete_folder
 from simulator.release import release
 from testrange.family.cards import card_text, readme_text
 from testrange.family.design import designed

@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from campaign.atomic import complete_file
 from campaign.config import PARTS, Config, Part
 from campaign.errors import TestrangeError
 from campaign.manifest import read_manifest, write_manifest
+from campaign.writing.atomic import complete_file
 
 # Which faults reach which part. What is not named here (survey, trajectory, sheets) is written anew for every case.
 _LENS = (

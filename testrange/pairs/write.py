@@ -7,8 +7,8 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from campaign.atomic import complete_folder
 from campaign.progress import Report, silent
+from campaign.writing.atomic import complete_folder
 from testrange.pairs.model import DIGITS, PAIRS_FILE, SCHEMA, Numbers, Pair, PairsError, plain
 
 NAME = "Reference pairs for GB/T 41450-2022 and the patent's method"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from campaign.las import Returns
+from campaign.flight.las import Returns
 from evaluator.georeference import TargetReturns
 from scenes.build import site_terrain
 from scenes.frustums import VERTEX_PER_EDGE, _sheet_shift_m, plate_edge_m, top_m

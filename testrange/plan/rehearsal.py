@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.bench import BoardExposure, BoardSheet, RoomSheet, SphereExposure
+from campaign.benches.bench import BoardExposure, BoardSheet, RoomSheet, SphereExposure
 from campaign.config import Config
+from campaign.flight.records import Exposure
 from campaign.folder import CampaignFolder
 from campaign.manifest import Manifest
-from campaign.records import Exposure
 from evaluator.model import BenchData, CampaignData, RangingData, SortieData
 from scenes.build import build_scene
 from scenes.chessboard import board_of

@@ -9,7 +9,7 @@ from testrange.plan.beams import Passes
 from testrange.plan.model import Volume
 from testrange.plan.rehearsal import Rehearsal
 
-LAS_RECORD_BYTES = 59 + 17  # PDRF 9 and the extra bytes of campaign.las
+LAS_RECORD_BYTES = 59 + 17  # PDRF 9 and the extra bytes of campaign.flight.las
 LAZ_RECORD_BYTES = 13.3  # PDRF 6 with extra bytes, compressed: as measured on simulated strips
 TRUTH_RECORD_BYTES = 26.0  # truth/returns_*.npz, compressed: as measured
 JPEG_BYTES_PIXEL = 0.22  # previews: as measured

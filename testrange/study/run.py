@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from campaign.atomic import complete_file
 from campaign.errors import ConfigError
 from campaign.load import dump_toml, load_config
 from campaign.progress import Report, silent
 from campaign.threads import thread_count
+from campaign.writing.atomic import complete_file
 from evaluator.results import plain
 from simulator.kept import kept_bytes
 from testrange.refusals import refuse_workers

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from campaign.atomic import complete_file
+from campaign.writing.atomic import complete_file
 from testrange.study.execution.responses import column
 from testrange.study.model import RUN_TIME, Study
 from testrange.study.plan import Plan, Point

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from campaign.bench import BoardExposure, BoardSheet, write_board, write_board_log
+from campaign.benches.bench import BoardExposure, BoardSheet, write_board, write_board_log
 from campaign.folder import CampaignFolder
 from campaign.manifest import Manifest, write_manifest
 from evaluator.benches.bench_model import ChessboardResult

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from campaign.las import StripReader
+from campaign.flight.las import StripReader
 from evaluator.observe.waveforms import decompose
 
 REAL = Path(__file__).parents[3] / "shared" / "real"

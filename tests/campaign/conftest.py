@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 
 from campaign.config import Band, Lens
-from campaign.folder import CampaignFolder
-from campaign.images import ImageTags, write_image, write_preview
-from campaign.las import LasSpec, Returns, StripReader, StripWriter
-from campaign.manifest import Manifest, write_manifest
-from campaign.records import (
+from campaign.flight.images import ImageTags, write_image, write_preview
+from campaign.flight.las import LasSpec, Returns, StripReader, StripWriter
+from campaign.flight.records import (
     EnvironmentRow,
     Exposure,
     FlightPlan,
@@ -24,9 +22,11 @@ from campaign.records import (
     write_exposures,
     write_plan,
 )
+from campaign.flight.trajectory import Trajectory, write_csv, write_sbet, write_smrmsg
+from campaign.folder import CampaignFolder
+from campaign.manifest import Manifest, write_manifest
 from campaign.sensors import Calibration, CameraSheet, LidarSheet, MountingSheet, NavigationSheet, Rig, write_sheet
 from campaign.survey import Spectra, SurveyedTarget, write_gcp_list, write_spectra, write_targets
-from campaign.trajectory import Trajectory, write_csv, write_sbet, write_smrmsg
 
 T0 = 465_000_000.25  # adjusted standard GPS time: 2026-06-09 08:26:22.25 Beijing time
 WEEK = int((T0 + 1e9) // 604_800)

@@ -15,9 +15,9 @@ from pathlib import Path
 import bagit
 import pytest
 
-from campaign.archive import MANIFEST, write_archive
-from campaign.archive_check import check_archive, is_archive
-from campaign.check import check_campaign
+from campaign.archive.check import check_archive, is_archive
+from campaign.archive.pack import MANIFEST, write_archive
+from campaign.checks.folder import check_campaign
 from campaign.errors import CampaignError
 from campaign.folder import CampaignFolder
 from campaign.manifest import read_manifest, write_manifest

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from campaign.atomic import complete_file, complete_folder
 from campaign.errors import CampaignError
-from campaign.resume import resumable_folder, sweep
+from campaign.writing.atomic import complete_file, complete_folder
+from campaign.writing.resume import resumable_folder, sweep
 
 
 def test_a_folder_appears_only_when_complete(tmp_path: Path) -> None:
@@ -145,7 +145,7 @@ def test_a_folder_is_on_the_disk_before_it_has_its_name(
 
 KILLED = """
 import os, pathlib, signal, sys
-from campaign.atomic import complete_folder
+from campaign.writing.atomic import complete_folder
 rename, done = pathlib.Path.rename, []
 def stops(old, new):
     if done:

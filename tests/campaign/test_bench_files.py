@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from campaign.bench import (
+from campaign.benches.bench import (
     MAX_IMAGES,
     BoardExposure,
     BoardSheet,
@@ -26,10 +26,8 @@ from campaign.bench import (
     write_room,
     write_sphere_log,
 )
-from campaign.errors import CampaignError
-from campaign.folder import CampaignFolder
-from campaign.pictures import MAX_SIDE_PX, picture_size, read_picture
-from campaign.ranging import (
+from campaign.benches.pictures import MAX_SIDE_PX, picture_size, read_picture
+from campaign.benches.ranging import (
     RangingLine,
     RangingPanel,
     StationReading,
@@ -40,6 +38,8 @@ from campaign.ranging import (
     write_line,
     write_readings,
 )
+from campaign.errors import CampaignError
+from campaign.folder import CampaignFolder
 
 SPHERE = tuple(
     SphereExposure(

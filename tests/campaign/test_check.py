@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from campaign.check import check_campaign, check_config
+from campaign.checks.folder import check_campaign, check_config
 from campaign.errors import CampaignError
 from campaign.folder import CampaignFolder
 from campaign.manifest import read_manifest, verify_files, write_manifest

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from campaign.bench import (
+from campaign.benches.bench import (
     BoardExposure,
     BoardSheet,
     RoomSheet,
@@ -23,10 +23,7 @@ from campaign.bench import (
     write_room,
     write_sphere_log,
 )
-from campaign.check import check_campaign
-from campaign.folder import CampaignFolder
-from campaign.manifest import read_manifest, write_manifest
-from campaign.ranging import (
+from campaign.benches.ranging import (
     RangingLine,
     RangingPanel,
     StationReading,
@@ -38,6 +35,9 @@ from campaign.ranging import (
     write_line,
     write_readings,
 )
+from campaign.checks.folder import check_campaign
+from campaign.folder import CampaignFolder
+from campaign.manifest import read_manifest, write_manifest
 
 SPHERE = tuple(
     SphereExposure(

@@ -7,13 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from campaign.bench import BOARD_COLUMNS, SPHERE_COLUMNS, BoardSheet, RoomSheet, write_room
-from campaign.check import check_campaign
+from campaign.benches.bench import BOARD_COLUMNS, SPHERE_COLUMNS, BoardSheet, RoomSheet, write_room
+from campaign.benches.ranging import READING_COLUMNS, RangingLine, RangingPanel, TotalStation
+from campaign.checks.folder import check_campaign
 from campaign.errors import CampaignError
-from campaign.las import EXTRA_BYTES
-from campaign.manifest import Manifest, read_manifest
-from campaign.ranging import READING_COLUMNS, RangingLine, RangingPanel, TotalStation
-from campaign.records import (
+from campaign.flight.las import EXTRA_BYTES
+from campaign.flight.records import (
     CAMERA_OBSERVATION_COLUMNS,
     ENVIRONMENT_COLUMNS,
     EXPOSURE_COLUMNS,
@@ -21,6 +20,7 @@ from campaign.records import (
     FlightPlan,
     PlannedStrip,
 )
+from campaign.manifest import Manifest, read_manifest
 from campaign.sensors import Calibration, CameraSheet, LidarSheet, MountingSheet, NavigationSheet, Rig
 from campaign.survey import TARGET_COLUMNS
 from campaign.truth import MARK_COLUMNS, TrueBench, TrueMounting, TrueRanging, TrueReturns, TrueTarget, Truth

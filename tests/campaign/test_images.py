@@ -14,7 +14,7 @@ import tifffile
 from exifread.utils import get_gps_coords
 
 from campaign.errors import CampaignError
-from campaign.images import check_image, read_image, read_preview, read_tags, write_image, write_preview
+from campaign.flight.images import check_image, read_image, read_preview, read_tags, write_image, write_preview
 
 SIZE = {"width_px": 96, "height_px": 64, "bands": 3}
 

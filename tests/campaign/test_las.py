@@ -14,7 +14,7 @@ import pyproj
 import pytest
 
 from campaign.errors import CampaignError
-from campaign.las import Returns, StripReader, StripWriter, first_packet_byte
+from campaign.flight.las import Returns, StripReader, StripWriter, first_packet_byte
 
 
 @pytest.mark.parametrize("samples", [16, 64, 100])

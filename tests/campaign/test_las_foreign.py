@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from campaign.errors import CampaignError
-from campaign.las import StripReader
+from campaign.flight.las import StripReader
 
 REAL = Path(__file__).resolve().parents[2].parent / "shared" / "real" / "waveform_leica" / "fwf_plain.las"
 WEEK_START = 2400 * 604_800 - 1e9

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from campaign.errors import CampaignError
-from campaign.las import StripReader
+from campaign.flight.las import StripReader
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import numpy as np
 import pyproj
 import pytest
 
+from campaign.benches.scans import ScanPoints, read_scan, write_scan
 from campaign.errors import CampaignError
-from campaign.scans import ScanPoints, read_scan, write_scan
 
 
 def points(xyz_m: np.ndarray, amplitude: float = 200.0) -> ScanPoints:

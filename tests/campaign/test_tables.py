@@ -10,7 +10,7 @@ import pytest
 
 from campaign.config import Lens
 from campaign.errors import CampaignError
-from campaign.records import (
+from campaign.flight.records import (
     CameraObservation,
     EnvironmentRow,
     Exposure,
@@ -26,9 +26,9 @@ from campaign.records import (
     write_lidar_observations,
     write_plan,
 )
+from campaign.flight.trajectory import beijing_time, read_trajectory, write_csv, write_sbet, write_smrmsg
 from campaign.sensors import read_camera, read_lidar, read_rig, write_sheet
 from campaign.survey import Spectra, read_spectra, read_targets, write_gcp_list, write_spectra, write_targets
-from campaign.trajectory import beijing_time, read_trajectory, write_csv, write_sbet, write_smrmsg
 from campaign.truth import (
     TrueMark,
     TrueMounting,

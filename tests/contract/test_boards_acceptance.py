@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from campaign.images import read_image
+from campaign.flight.images import read_image
 from campaign.load import load_config
 from campaign.truth import read_marks
 from evaluator.boards.board_observations import BoardObservation, observe_boards

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from campaign.config import Config
-from campaign.resume import resumable_folder
+from campaign.writing.resume import resumable_folder
 from simulator.journal import Journal, finished_units
 from simulator.release import release
 from testrange import cluster as on_cluster

@@ -13,9 +13,9 @@ import pytest
 from tifffile import imread
 
 from campaign.config import Camera, Config
+from campaign.flight.trajectory import Trajectory, read_trajectory, write_sbet
 from campaign.load import load_config
 from campaign.manifest import Manifest
-from campaign.trajectory import Trajectory, read_trajectory, write_sbet
 from campaign.truth import read_marks, read_true_trajectories, read_truth
 from evaluator.camera_model import project_exposure, undistort
 from evaluator.evaluate import read_campaign

@@ -14,7 +14,7 @@ import pytest
 
 from campaign.config import Config
 from campaign.errors import CampaignError, ConfigError, WriteError
-from campaign.resume import resumable_folder
+from campaign.writing.resume import resumable_folder
 from simulator.journal import Journal, finished_units
 from testrange.pipeline import simulate
 from testrange.progress import no_progress

@@ -34,7 +34,7 @@ SWAYING = (
 
 def true_centres(campaign: Path) -> dict[str, np.ndarray]:
     """Image's stem -> projection centre, world frame, from truth/. [m]"""
-    from campaign.trajectory import Trajectory
+    from campaign.flight.trajectory import Trajectory
 
     data, truth = load_campaign(campaign), read_truth(campaign)
     arm = np.array(truth.camera.lever_arm_m)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from campaign.config import Band, Lens
+from campaign.flight.records import EnvironmentRow, Exposure, FlightPlan, PlannedStrip
+from campaign.flight.trajectory import Trajectory
 from campaign.folder import CampaignFolder
 from campaign.manifest import Manifest
-from campaign.records import EnvironmentRow, Exposure, FlightPlan, PlannedStrip
 from campaign.sensors import Calibration, CameraSheet, LidarSheet, MountingSheet, NavigationSheet, Rig
 from campaign.survey import Spectra, SurveyedTarget
-from campaign.trajectory import Trajectory
 from evaluator.conformity import ConformityInputs, conformity_rows
 from evaluator.frames import WorldFrame, euler_rotation
 from evaluator.model import (

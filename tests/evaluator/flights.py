@@ -6,9 +6,9 @@ Read with runpy by the tests that use it; nothing of the simulator is in it.
 import numpy as np
 
 from campaign.config import Lens
+from campaign.flight.trajectory import Trajectory
 from campaign.manifest import Manifest
 from campaign.sensors import MountingSheet, NavigationSheet, Rig
-from campaign.trajectory import Trajectory
 from evaluator.camera_model import lens_from_vector, lens_vector, project
 from evaluator.frames import WorldFrame, euler_angles, euler_rotation
 from evaluator.georeference import nominal_mountings

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from campaign.config import Lens
+from campaign.flight.trajectory import Trajectory
 from campaign.manifest import Manifest
 from campaign.sensors import MountingSheet, NavigationSheet, Rig
 from campaign.survey import SurveyedTarget
-from campaign.trajectory import Trajectory
 from evaluator.c9_3_calibration import calibration_error, evaluate_calibration, residual_table, target_errors
 from evaluator.camera_model import lens_from_vector, lens_vector, project
 from evaluator.frames import WorldFrame, euler_angles, euler_rotation

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import tifffile
 
-from campaign.bench import SphereExposure, write_sphere_log
+from campaign.benches.bench import SphereExposure, write_sphere_log
 from campaign.config import Band
+from campaign.flight.images import BLACK_LEVEL
 from campaign.folder import CampaignFolder
-from campaign.images import BLACK_LEVEL
 from campaign.manifest import Manifest, write_manifest
 from campaign.sensors import CameraSheet, write_sheet
 from evaluator.benches.bench_model import SphereResult

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from campaign.folder import CampaignFolder
-from campaign.ranging import (
+from campaign.benches.ranging import (
     RangingLine,
     RangingPanel,
     StationReading,
@@ -16,7 +15,8 @@ from campaign.ranging import (
     scan_path,
     scan_paths,
 )
-from campaign.scans import ScanPoints, write_scan
+from campaign.benches.scans import ScanPoints, write_scan
+from campaign.folder import CampaignFolder
 from evaluator.benches.bench_model import RangingResult
 from evaluator.benches.ranging_fit import adjusted_constants
 from evaluator.benches.total_station import (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from campaign.ranging import (
+from campaign.benches.ranging import (
     RangingLine,
     RangingPanel,
     TotalStation,

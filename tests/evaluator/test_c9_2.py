@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from campaign.bench import BoardExposure, BoardSheet
+from campaign.benches.bench import BoardExposure, BoardSheet
 from campaign.config import Band, Lens
 from campaign.folder import CampaignFolder
 from campaign.manifest import Manifest

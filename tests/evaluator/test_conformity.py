@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from campaign.trajectory import Trajectory
+from campaign.flight.trajectory import Trajectory
 from evaluator.conformity import ConformityInputs, Row, conformity_rows, flight_height
 from evaluator.conformity.clause_6 import band_flatness, common_field_half_m
 from evaluator.conformity.flight import acceleration, sun_elevation, wind_two_minute_mean

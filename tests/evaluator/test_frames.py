@@ -4,8 +4,8 @@ import numpy as np
 import pyproj
 import pytest
 
+from campaign.flight.trajectory import Trajectory
 from campaign.manifest import Manifest
-from campaign.trajectory import Trajectory
 from evaluator.frames import WorldFrame, body_pose, euler_angles, euler_rates, euler_rotation, skew
 from evaluator.model import EvaluationError
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from campaign.flight.trajectory import Trajectory
 from campaign.manifest import Manifest
 from campaign.sensors import LidarSheet
 from campaign.survey import SurveyedTarget
-from campaign.trajectory import Trajectory
 from evaluator.algorithms.slots import VertexTask
 from evaluator.frames import WorldFrame, body_pose, euler_rotation
 from evaluator.model import Mounting, VertexObservation

@@ -261,7 +261,9 @@ def test_injected_mounting_is_recovered_for_twenty_flights():
     assert np.mean([np.diag(m.covariance) for m in found], axis=0) == pytest.approx(np.diag(bound), rel=0.02)
     assert np.mean([m.mean_adjusted_px for m in found]) <= 0.5
     assert 0.4 < np.mean([m.mean_residual_px for m in found]) < 1.0
-    assert max(np.linalg.norm(m.mean_vector_px) for m in found) <= 0.5  # correlated navigation: not zero, as weights differ
+    assert (
+        max(np.linalg.norm(m.mean_vector_px) for m in found) <= 0.5
+    )  # correlated navigation: not zero, as weights differ
     assert np.mean([m.sigma0 for m in found]) == pytest.approx(1.0, abs=0.1)
     assert not any(m.rejected for m in found)
     assert not any(m.not_determined for m in found)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from campaign.las import Returns
+from campaign.flight.las import Returns
 from campaign.survey import SurveyedTarget
 from evaluator.frames import WorldFrame, body_pose
 from evaluator.georeference import TargetReturns, nominal_mountings, world_points

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from campaign.las import LasSpec, Returns, StripWriter
+from campaign.flight.las import LasSpec, Returns, StripWriter
 from evaluator.camera_model import project_exposure
 from evaluator.frames import WorldFrame, body_pose, euler_rotation
 from evaluator.georeference import collect_target_returns, nominal_mountings, world_points

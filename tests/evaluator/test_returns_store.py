@@ -8,7 +8,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from campaign.las import Returns
+from campaign.flight.las import Returns
 from evaluator.georeference import TargetReturns
 from evaluator.returns_store import ReturnsStore
 

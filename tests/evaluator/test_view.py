@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
-from campaign.las import LasSpec, Returns, StripWriter
+from campaign.flight.las import LasSpec, Returns, StripWriter
 from campaign.truth import TrueMounting, TrueReturns, Truth, write_true_returns, write_true_trajectories, write_truth
 from evaluator.frames import WorldFrame, body_pose
 from evaluator.georeference import nominal_mountings, world_points

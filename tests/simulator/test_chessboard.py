@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from campaign.bench import read_board, read_board_log
+from campaign.benches.bench import read_board, read_board_log
+from campaign.benches.pictures import read_picture
 from campaign.config import Config, Lens
 from campaign.errors import ConfigError
 from campaign.folder import CampaignFolder
 from campaign.load import load_config
-from campaign.pictures import read_picture
 from scenes.chessboard import board_of, is_black
 from simulator.bench.chessboard import simulate_chessboard
 from simulator.bench.placements import Placement, bench_lens, plan_placements, project_board

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from campaign.benches.ranging import line_path, read_line, read_readings, readings_path, scan_path, scan_paths
+from campaign.benches.scans import ScanPoints, read_scan
 from campaign.config import Config
 from campaign.errors import ConfigError
 from campaign.folder import CampaignFolder
 from campaign.load import load_config
-from campaign.ranging import line_path, read_line, read_readings, readings_path, scan_path, scan_paths
-from campaign.scans import ScanPoints, read_scan
 from simulator.lidar.ranging import (
     air_index,
     prepare_line,

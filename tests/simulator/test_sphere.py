@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from campaign.bench import read_sphere_log
+from campaign.benches.bench import read_sphere_log
 from campaign.config import Band, Bench, Camera, CampaignInfo, Config, Faults, Lens, Sphere
 from campaign.errors import ConfigError
+from campaign.flight.images import read_image, read_preview, read_tags
 from campaign.folder import CampaignFolder
-from campaign.images import read_image, read_preview, read_tags
 from scenes.sphere import SphereScene, black_body_share_per_nm, build_sphere, lamp_flux_per_nm
 from simulator.bench.sphere import (
     SphereLight,

@@ -16,7 +16,7 @@ from campaign.config import (
     Scanner,
 )
 from campaign.errors import ConfigError
-from campaign.las import Returns
+from campaign.flight.las import Returns
 from campaign.truth import TrueReturns
 from scenes.model import Layout, Material, Mesh, Scene, Target
 from simulator.flight.frames import SiteFrame, rotation_from_rpy

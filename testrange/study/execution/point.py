@@ -109,7 +109,7 @@ def _workplace(work: Path, keep: str | None) -> Iterator[Path]:
     """A temporary folder below `work`, which the study removes where a worker could not; with `keep` one that stays, complete or
     not at all."""
     if keep is not None:
-        from campaign.atomic import complete_folder
+        from campaign.writing.atomic import complete_folder
 
         with complete_folder(Path(keep), replace=True) as place:
             yield place

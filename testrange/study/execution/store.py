@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from campaign.atomic import complete_file, readable_os_errors
+from campaign.writing.atomic import complete_file, readable_os_errors
 from evaluator.c10_1_grading import GRADE_ZH
 from testrange.study.model import StudyError
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from scipy import stats
 
-from campaign.atomic import complete_file
+from campaign.writing.atomic import complete_file
 from evaluator.c10_1_grading import GRADE_ZH, INDICATORS
 from evaluator.report.style import GRADE_COLOURS, INK, SORTIE_COLOURS, figure
 from testrange.study.effects import GRADES, Effects, cell_means, grade_shares

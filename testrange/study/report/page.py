@@ -9,7 +9,7 @@ from typing import Any
 import jinja2
 
 import evaluator.report
-from campaign.atomic import complete_file
+from campaign.writing.atomic import complete_file
 from evaluator.c10_1_grading import GRADE_ZH, INDICATORS
 from evaluator.report.style import font_uri, style
 from testrange.study.effects import Effects

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from campaign.bench import BoardExposure, BoardSheet, RoomSheet, SphereExposure
+from campaign.benches.bench import BoardExposure, BoardSheet, RoomSheet, SphereExposure
+from campaign.benches.ranging import RangingLine, RangingPanel, StationReading, TotalStation
 from campaign.config import Lens
-from campaign.ranging import RangingLine, RangingPanel, StationReading, TotalStation
 from evaluator.benches.bench_model import (
     BoardImage,
     ChessboardResult,

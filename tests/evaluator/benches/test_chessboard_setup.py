@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from campaign.bench import BoardExposure, BoardSheet
+from campaign.benches.bench import BoardExposure, BoardSheet
 from campaign.sensors import Calibration
 from evaluator.benches.bench_model import ChessboardResult
 from evaluator.benches.c9_2_companions import setup_notes

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from campaign.bench import RoomSheet
+from campaign.benches.bench import RoomSheet
 from evaluator.benches.bench_model import ChessboardResult
 from evaluator.conformity import ConformityInputs, Row, conformity_rows
 from evaluator.conformity.clause_6_3 import traceability_class

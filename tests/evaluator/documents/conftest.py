@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from campaign.ranging import RangingLine, RangingPanel, StationReading, TotalStation
+from campaign.benches.ranging import RangingLine, RangingPanel, StationReading, TotalStation
 from evaluator.benches.bench_model import BoardImage, ChessboardResult, SphereResult, SphereSeries
 from evaluator.c8_1_lidar_reflectance import evaluate_lidar_reflectance
 from evaluator.c8_2_camera_radiometry import mean_dn, repeatability, stability_rsd, standard_deviation_dn

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from campaign.las import LasSpec, Returns, StripReader, StripWriter
-from campaign.manifest import write_manifest
-from campaign.records import (
+from campaign.flight.las import LasSpec, Returns, StripReader, StripWriter
+from campaign.flight.records import (
     CameraObservation,
     LidarObservation,
     read_camera_observations,
     read_lidar_observations,
     write_lidar_observations,
 )
+from campaign.manifest import write_manifest
 from campaign.survey import write_targets
 from evaluator.conformity import ConformityInputs, conformity_rows
 from evaluator.documents.observations import rejected_marks, write_observations

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, cast
 
-from campaign.archive import BAGIT, unsafe
+from campaign.archive.pack import BAGIT, unsafe
 from campaign.errors import CampaignError
 
 MAX_DIRECTORY_BYTES = 500_000_000

@@ -19,10 +19,10 @@ from typing import BinaryIO, Protocol
 
 from pydantic import ValidationError
 
-from campaign.archive import BAG_INFO, BAGIT, CAMPAIGN, CHUNK_BYTES, MANIFEST, TAG_MANIFEST, unsafe
-from campaign.archive_zip import ZipBag
-from campaign.check import check_campaign
-from campaign.check_collector import Problem
+from campaign.archive.pack import BAG_INFO, BAGIT, CAMPAIGN, CHUNK_BYTES, MANIFEST, TAG_MANIFEST, unsafe
+from campaign.archive.zips import ZipBag
+from campaign.checks.collector import Problem
+from campaign.checks.folder import check_campaign
 from campaign.errors import CampaignError
 from campaign.manifest import Manifest
 from campaign.progress import Report, silent

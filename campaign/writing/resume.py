@@ -1,6 +1,6 @@
 """Folders that take long to make: written beside the target, kept when the work is interrupted, renamed when it is done.
 
-`complete_folder` of `campaign.atomic` forgets what an interrupted command had made; here it waits for the same command to go on.
+`complete_folder` of `atomic` forgets what an interrupted command had made; here it waits for the same command to go on.
 """
 
 import contextlib
@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from campaign.atomic import check_target, put_in_place, readable_os_errors, settle_replaced
 from campaign.errors import CampaignError, WriteError
+from campaign.writing.atomic import check_target, put_in_place, readable_os_errors, settle_replaced
 
 try:
     import fcntl

@@ -12,15 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.check_bench import check_bench, check_ranging
-from campaign.check_collector import Collector, Problem
+from campaign.checks.bench import check_bench, check_ranging
+from campaign.checks.collector import Collector, Problem
 from campaign.errors import ConfigError
-from campaign.folder import CampaignFolder, SortieFolder
-from campaign.images import check_image
-from campaign.las import StripReader
-from campaign.load import load_config
-from campaign.manifest import Manifest, read_manifest, special_files, verify_files
-from campaign.records import (
+from campaign.flight.images import check_image
+from campaign.flight.las import StripReader
+from campaign.flight.records import (
     Exposure,
     FlightPlan,
     read_camera_observations,
@@ -29,9 +26,12 @@ from campaign.records import (
     read_lidar_observations,
     read_plan,
 )
+from campaign.flight.trajectory import Trajectory, beijing_time, misplaced, read_trajectory
+from campaign.folder import CampaignFolder, SortieFolder
+from campaign.load import load_config
+from campaign.manifest import Manifest, read_manifest, special_files, verify_files
 from campaign.sensors import CameraSheet, LidarSheet, read_camera, read_lidar, read_rig
 from campaign.survey import crs_wkt, far_targets, read_spectra, read_targets
-from campaign.trajectory import Trajectory, beijing_time, misplaced, read_trajectory
 from campaign.truth import read_truth, verify_truth
 
 _STRIP = re.compile(r"strip_(\d{1,4})\.(las|laz)")

@@ -18,12 +18,12 @@ import laspy  # type: ignore[import-untyped]
 import lazrs  # type: ignore[import-untyped]
 import numpy as np
 
-from campaign.atomic import part_of, readable_os_errors
 from campaign.errors import CampaignError
+from campaign.flight.trajectory import week_start_s
 from campaign.formats.las_layout import LasHeader, WaveDescriptor, read_header
 from campaign.formats.las_packets import PacketTable, packet_table, records
 from campaign.survey import crs_wkt
-from campaign.trajectory import week_start_s
+from campaign.writing.atomic import part_of, readable_os_errors
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from campaign.atomic import complete_file
 from campaign.errors import CampaignError
 from campaign.formats.text import write_rows
+from campaign.writing.atomic import complete_file
 
 WEEK_S = 604_800
 ADJUSTED_OFFSET_S = 1_000_000_000

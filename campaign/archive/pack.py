@@ -20,12 +20,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from campaign.archive_lists import Item, indicators_csv, item_csv, item_html, results_campaign, ro_crate
-from campaign.atomic import complete_file, complete_folder, readable_os_errors
+from campaign.archive.lists import Item, indicators_csv, item_csv, item_html, results_campaign, ro_crate
 from campaign.errors import CampaignError
 from campaign.manifest import NAME as MANIFEST_NAME
 from campaign.manifest import Manifest, read_manifest, walk
 from campaign.progress import Report, silent
+from campaign.writing.atomic import complete_file, complete_folder, readable_os_errors
 
 BAGIT = "bagit.txt"
 BAG_INFO = "bag-info.txt"

@@ -1,6 +1,6 @@
 """Scans of the ranging line: points about a LiDAR's own centre, as LAS 1.4 PDRF 6 (LAZ). Written, and read within bounds.
 
-A scan lies in the instrument's own axes, so its CRS is a local one. Flights are in `campaign.las`, which also reads here.
+A scan lies in the instrument's own axes, so its CRS is a local one. Flights are in `campaign.flight.las`, which also reads here.
 """
 
 import datetime
@@ -12,9 +12,9 @@ import laspy  # type: ignore[import-untyped]
 import lazrs  # type: ignore[import-untyped]
 import numpy as np
 
-from campaign.atomic import complete_file
 from campaign.errors import CampaignError
-from campaign.las import GENERATING_SOFTWARE, SCALE_M, StripReader
+from campaign.flight.las import GENERATING_SOFTWARE, SCALE_M, StripReader
+from campaign.writing.atomic import complete_file
 
 MAX_POINTS = 10_000_000  # kept in memory of one scan
 LOCAL_WKT = (

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 import tifffile
 
-from campaign.atomic import complete_file
 from campaign.errors import CampaignError
+from campaign.flight.trajectory import beijing_time
 from campaign.formats.exif import (
     ASCII,
     BYTE,
@@ -38,7 +38,7 @@ from campaign.formats.exif import (
     xmp_packet,
 )
 from campaign.formats.exif import SOFTWARE as SOFTWARE_TAG
-from campaign.trajectory import beijing_time
+from campaign.writing.atomic import complete_file
 
 BLACK_LEVEL, WHITE_LEVEL = 50714, 50717
 

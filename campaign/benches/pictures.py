@@ -1,6 +1,6 @@
 """Pictures of any size and of any maker for the benches: TIFF, PNG, JPEG, 8 or 16 bit, 1 to 3 bands. Reading only.
 
-Images of a flight, whose size the camera's sheet fixes, are `campaign.images`'.
+Images of a flight, whose size the camera's sheet fixes, are `campaign.flight.images`'.
 """
 
 import struct
@@ -12,8 +12,8 @@ import numpy as np
 import tifffile
 
 from campaign.errors import CampaignError
+from campaign.flight.images import MAX_IMAGE_BYTES, check_strips, first_page, open_tiff
 from campaign.formats.exif import jpeg_frame
-from campaign.images import MAX_IMAGE_BYTES, check_strips, first_page, open_tiff
 
 MAX_FILE_BYTES = 1_300_000_000
 MAX_SIDE_PX = 65_000

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
 
-from campaign.archive_font import font_face
+from campaign.archive.font import font_face
 from campaign.formats.text import read_bounded
 from campaign.manifest import Manifest
 

@@ -6,11 +6,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 
-from campaign.bench import BoardExposure, SphereExposure, read_board, read_board_log, read_room, read_sphere_log
-from campaign.check_collector import Collector
-from campaign.las import StripReader
-from campaign.pictures import PictureSize, picture_size
-from campaign.ranging import RangingLine, StationReading, line_path, read_line, read_readings, readings_path, scan_paths
+from campaign.benches.bench import BoardExposure, SphereExposure, read_board, read_board_log, read_room, read_sphere_log
+from campaign.benches.pictures import PictureSize, picture_size
+from campaign.benches.ranging import (
+    RangingLine,
+    StationReading,
+    line_path,
+    read_line,
+    read_readings,
+    readings_path,
+    scan_paths,
+)
+from campaign.checks.collector import Collector
+from campaign.flight.las import StripReader
 
 _PICTURES = {".tif", ".tiff", ".png", ".jpg", ".jpeg"}
 _SCAN_LIKE = re.compile(r".*\.(las|laz)", re.IGNORECASE)

@@ -1,0 +1,1 @@
+"""The archive of 10.3: packed, listed, checked."""

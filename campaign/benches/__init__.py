@@ -1,0 +1,1 @@
+"""Files of the indoor benches and of the ranging line."""

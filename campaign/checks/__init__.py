@@ -1,0 +1,1 @@
+"""What is wrong with a campaign folder, line by line, before anything is evaluated."""

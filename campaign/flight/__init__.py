@@ -1,0 +1,1 @@
+"""Files of the sorties: strips, images, trajectories, records."""
