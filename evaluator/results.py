@@ -124,6 +124,12 @@ class Evaluation:
         """The campaign's folder, where known."""
         return None if self.data is None else self.data.folder.root
 
+    @property
+    def stated_doubts(self) -> tuple[str, ...]:
+        """What the mountings' adjustment took as stated although its observations contradict it, one line each."""
+        found = self.mounting.companions.get("stated_in_doubt") if self.mounting is not None else None
+        return tuple(str(line) for line in found) if isinstance(found, list | tuple) else ()
+
     def indicator(self, indicator_id: str) -> IndicatorValue:
         """The indicator, or "not measured" with the reason where nobody computed it."""
         found = self.indicators.get(indicator_id)
@@ -338,7 +344,7 @@ def build_results(evaluation: Evaluation) -> dict[str, Any]:
                 for r in evaluation.conformity
             ],
             "mounting": mounting_block(evaluation),
-            "diagnosis": diagnosis_block(evaluation.deviations, evaluation.survey_doubts),
+            "diagnosis": diagnosis_block(evaluation.deviations, evaluation.survey_doubts, evaluation.stated_doubts),
             "problems": evaluation.problems,
             **({"algorithms": evaluation.algorithms} if evaluation.algorithms else {}),
         },

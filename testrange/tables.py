@@ -12,6 +12,7 @@ from rich.text import Text
 from evaluator.c10_1_grading import GRADE_ZH, GROUPS, INDICATORS, Grade, group_grades
 from evaluator.documents.model import Language, say
 from evaluator.documents.phrases import STATUS, translated
+from evaluator.report.terms import parameter
 from evaluator.results import Evaluation, shown_decimals
 from evaluator.scores.score import Score, decimals
 
@@ -96,6 +97,33 @@ def print_indicators(evaluation: Evaluation, out: Console, language: Language = 
     ]
     if graded:
         out.print(say(language, "；", "; ").join(graded))
+
+
+def print_doubts(evaluation: Evaluation, out: Console, language: Language = "zh") -> None:
+    """What the observations contradict: surveyed places, what was stated of lens, ranges, clocks and navigation, the closure."""
+    lines = [
+        say(language, f"靶标 {target} 的控制测量位置存疑", f"surveyed place of {target} is in doubt")
+        for target in evaluation.survey_doubts
+    ]
+    lines += [
+        say(
+            language,
+            f"给定值与观测值矛盾：{parameter(line.split(':')[0], language)}，见报告",
+            f"stated, but contradicted: {line}",
+        )
+        for line in evaluation.stated_doubts
+    ]
+    if evaluation.closure.get("closes") is False:
+        chi, limit = (f"{evaluation.closure[name]:.1f}" for name in ("chi_square", "limit_95"))
+        lines.append(
+            say(
+                language,
+                f"相机、机体、激光雷达闭合差超出 95 % 限值：χ² {chi} > {limit}",
+                f"camera, body and LiDAR close beyond their 95 %: chi-square {chi} > {limit}; by chance once in twenty",
+            )
+        )
+    for line in lines:
+        out.print(Text(line, style="yellow"))
 
 
 def print_conformity(evaluation: Evaluation, out: Console, language: Language = "zh") -> None:

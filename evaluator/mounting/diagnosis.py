@@ -103,12 +103,14 @@ def suspects(rejected: Sequence[str], targets: Sequence[str], swapped: Sequence[
     return tuple(t for t in targets if named & {t, f"surveyed place of {t}", f"surveyed height of {t}"})
 
 
-def diagnosis_block(rows: Sequence[Deviation], survey: Sequence[str]) -> dict[str, object]:
-    """For results.json: the rows, the limit, what passes it, and the targets whose surveyed place is doubted."""
+def diagnosis_block(rows: Sequence[Deviation], survey: Sequence[str], stated: Sequence[str] = ()) -> dict[str, object]:
+    """For results.json: the rows, the limit, what passes it, the targets whose surveyed place is doubted, and what the mountings'
+    adjustment took as stated although its observations contradict it."""
     limit = family_limit(len(rows))
     return {
         "limit": limit,
         "rows": [vars(r) for r in rows],
         "deviating": [r.quantity for r in rows if abs(r.z) > limit],
         "surveyed_places_in_doubt": list(survey),
+        "stated_in_doubt": list(stated),
     }

@@ -5,6 +5,7 @@ for every companion that a campaign of ours produces.
 """
 
 NAMES: dict[str, tuple[str, str]] = {
+    "unit_weight": ("单位权中误差", "unit weight"),
     "camera_principal_distance_px": ("相机主距", "camera principal distance"),
     "camera_clock": ("相机时钟偏差", "camera clock"),
     "lidar_clock": ("激光雷达时钟偏差", "LiDAR clock"),

@@ -96,6 +96,7 @@ def report(done: Any, as_json: bool, language: Literal["zh", "en", "both"]) -> N
         return
     console, words = tables.console(), languages(language)[0]
     tables.print_indicators(done.evaluation, console, words)
+    tables.print_doubts(done.evaluation, console, words)
     tables.print_conformity(done.evaluation, console, words)
     if done.score is not None:
         tables.print_score(done.score, console, words)

@@ -26,7 +26,8 @@ class CaseResult:
 
     case: FaultCase
     rows: tuple[dict[str, Any], ...] = ()  # of the diagnosis
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()  # targets
+    stated: tuple[str, ...] = ()  # what the adjustment took as stated and doubts
     pairs: tuple[tuple[str, str, float], ...] = ()  # parameters that correlate beyond 0.95
     problems: tuple[str, ...] = ()
     failed: str | None = None  # why there are no results
@@ -42,6 +43,7 @@ class CaseResult:
         found, wanted = set(self.beyond(limit)), set(self.case.shows)
         missed = sorted(wanted - found) + sorted(set(self.case.doubts) - set(self.doubts))
         besides = sorted(found - wanted) + sorted(set(self.doubts) - set(self.case.doubts))
+        besides += [f"{name} as stated" for name in sorted(set(self.stated) - wanted)]
         told = [f"missed: {', '.join(missed)}"] if missed else []
         told += [f"besides: {', '.join(besides)}"] if besides else []
         return "; ".join(told) or "as injected"
@@ -159,6 +161,7 @@ def _result(case: FaultCase, file: Path, failed: str | None) -> CaseResult:
         case=case,
         rows=tuple(block["rows"]),
         doubts=tuple(block["surveyed_places_in_doubt"]),
+        stated=tuple(line.split(":")[0] for line in block["stated_in_doubt"]),
         pairs=_pairs(results["mounting"]),
         problems=tuple(results["problems"]),
     )
@@ -186,6 +189,7 @@ def matrix_block(matrix: FaultMatrix) -> dict[str, Any]:
                 "z": {row["quantity"]: row["z"] for row in r.rows},
                 "deviating": r.beyond(matrix.limit),
                 "surveyed_places_in_doubt": r.doubts,
+                "stated_in_doubt": r.stated,
                 "verdict": r.verdict(matrix.limit),
                 "problems": r.problems,
             }

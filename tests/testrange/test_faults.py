@@ -1,6 +1,7 @@
 """The fault matrix' own logic: what a study says, which parts are simulated anew, what a verdict is."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -38,6 +39,7 @@ def test_verdict() -> None:
     assert result(case(("a",)), {"a": 3.9, "b": 5.0}).verdict(4.0) == "missed: a; besides: b"
     assert result(case((), ("F07",)), {"a": 0.0}, ("F07",)).verdict(4.0) == "as injected"
     assert result(case((), ("F07",)), {"a": 0.0}, ("F08",)).verdict(4.0) == "missed: F07; besides: F08"
+    assert replace(result(case(), {"a": 0.0}), stated=("k1",)).verdict(4.0) == "besides: k1 as stated"
 
 
 def test_limit_is_for_the_family() -> None:
@@ -132,6 +134,7 @@ def results_of(z: dict[str, float], doubts: tuple[str, ...] = ()) -> dict[str, o
         "diagnosis": {
             "rows": [{"quantity": q, "z": v} for q, v in z.items()],
             "surveyed_places_in_doubt": list(doubts),
+            "stated_in_doubt": [],
         },
         "mounting": {"names": ["a", "b"], "correlation": [[1.0, 0.97], [0.97, 1.0]]},
         "problems": [],
