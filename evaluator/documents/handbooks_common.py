@@ -36,6 +36,7 @@ _BLUNDERS = (
     (re.compile(r"plane of (\S+) in strip (\d+) \(sortie (\d+)\)"), "第 {2} 架次航线 {1} 中靶标 {0} 的平面"),
     (re.compile(r"surveyed place of (\S+): exchanged with that of (\S+)"), "靶标 {0} 与 {1} 的控制测量位置互换"),
     (re.compile(r"surveyed place of (\S+)"), "靶标 {0} 的控制测量位置"),
+    (re.compile(r"surveyed height of (\S+)"), "靶标 {0} 的控制测量高程"),
 )
 _GRADE_WORDS: dict[str, tuple[str, str]] = {
     "excellent": ("优", "excellent"),
