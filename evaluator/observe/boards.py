@@ -26,6 +26,7 @@ _SHAPE_STD = np.array([0.02, 0.035, 0.035, 0.02])  # of the predicted shape: 1 d
 _MOST_OUTSIDE = 0.2  # share of a pixel outside the board; beyond, it says nothing about the centre
 _MOST_WHITE = 3.5  # times saturation, by the edges alone: beyond, centres went wrong by a pixel with 0.0005 px stated
 _SATURATED_SHARE = 0.3  # of a search window in which no board was found: more is the reason
+_UNEVEN_SIGMAS, _UNEVEN_PULL = 4.0, 1.5  # beyond chance; centre's pull in blurs, for light that is uneven by its whole
 _SHADOW_SHARE = 0.6  # white in a shadow has less than this of the light of white in the sun
 
 
@@ -244,6 +245,31 @@ def _shadow_across(shares: np.ndarray, value: np.ndarray) -> bool:
     return bool(low < _SHADOW_SHARE * high)
 
 
+def _unevenness(white: np.ndarray, residual: np.ndarray) -> float:
+    """Standard deviation of the light over the white squares beyond pixel noise: a faint shadow's edge, dirt. 0 where the
+    pixels' own noise may be all.
+
+    Parameters
+    ----------
+    white : (h, w) bool np.ndarray
+        Pixels that should be pure white.
+    residual : (h, w) np.ndarray
+        Value minus the level of white.
+    """
+    count = cv2.boxFilter(white.astype(np.float64), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    total = cv2.boxFilter(np.where(white, residual, 0.0), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    whole = white & (count > 8.5)
+    n = int(whole.sum())
+    if n < 2:
+        return 0.0
+    smooth = total[whole] / 9.0
+    noise = float(np.mean((residual[whole] - smooth) ** 2)) * 9.0 / 8.0
+    found, by_chance = float(np.mean(smooth**2)), noise / 9.0
+    if found < by_chance * (1.0 + _UNEVEN_SIGMAS * np.sqrt(2.0 * 9.0 / n)):
+        return 0.0
+    return float(np.sqrt(found - by_chance))
+
+
 def find_board(
     grey: np.ndarray, view: BoardView, search_px: float, *, clipped_at: float = np.inf, black_level: float = 0.0
 ) -> BoardFit | str:
@@ -374,6 +400,11 @@ def _fit_at(
     std = float(np.sqrt(np.max(np.linalg.eigvalsh(covariance))))
     if _shadow_across(shares, value):
         return "a shadow lies across the board"
+    area = (high - low)[::-1]
+    pure, residual = np.zeros(area.prod(), bool), np.zeros(area.prod())
+    pure[good], residual[good] = shares[0] > 0.97, value - white
+    uneven = _unevenness(pure.reshape(area), residual.reshape(area)) / max(abs(white), 1e-12)
+    covariance = covariance + (_UNEVEN_PULL * uneven * float(state.p[6])) ** 2 * np.eye(2)
     if white > _MOST_WHITE * clipped_at:
         return f"over-exposed: white would be {white / clipped_at:.0f} times saturation"
     if contrast < _LEAST_CONTRAST:
