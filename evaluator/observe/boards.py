@@ -264,7 +264,7 @@ def _unevenness(white: np.ndarray, residual: np.ndarray) -> float:
         return 0.0
     smooth = total[whole] / 9.0
     noise = float(np.mean((residual[whole] - smooth) ** 2)) * 9.0 / 8.0
-    found, by_chance = float(np.mean(smooth**2)), noise / 9.0
+    found, by_chance = float(np.mean(smooth**2)), 2.0 * noise / 9.0  # twice: the lens' blur makes neighbours alike
     if found < by_chance * (1.0 + _UNEVEN_SIGMAS * np.sqrt(2.0 * 9.0 / n)):
         return 0.0
     return float(np.sqrt(found - by_chance))
