@@ -200,7 +200,7 @@ def board_residuals(evaluation: Evaluation, t: Texts) -> Figure | None:
     _scatter_about_zero(axes, shift, colours, np.array([bool(r["used"]) for r in rows]))
     for number in sorted({r["sortie"] for r in rows}):
         axes.plot([], [], "o", color=sortie_colour(number), label=t("sortie", n=number))
-    axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
+    drawn.legend(loc="outside lower center", ncols=6)
     axes.set_title(t("observed_minus"))
     return drawn
 
