@@ -288,6 +288,7 @@ no reflectance by LiDAR: %1 => 没有激光雷达反射率：%1
 the survey holds no frustum target => 控制测量中没有梯形棱台靶标
 no frustum target has a vertex: %1 => 没有靶标得到顶点：%1
 no strip passed over a frustum target => 没有航线经过靶标
+the campaign holds no LiDAR strip => 数据中没有激光雷达航线
 no target was seen by both sensors in one sortie => 没有靶标在同一架次中被两种传感器观测到
 %1 is missing or unreadable => %1 缺失或无法读取
 %1 is missing => 缺少 %1

@@ -362,7 +362,10 @@ def solve_geometry(
     solve = mountings_solver(tools)
     vertices, reasons = observe_vertices(data, returns, nominal_mountings(data.rig)[1], tools=tools)
     if not vertices:
-        what = next(iter(reasons.values()), "no strip passed over a frustum target")
+        nothing = "no strip passed over a frustum target"
+        if not any(sortie.strips for sortie in data.sorties):
+            nothing = "the campaign holds no LiDAR strip"
+        what = next(iter(reasons.values()), nothing)
         raise EvaluationError(f"no frustum target has a vertex: {what}")
     first = solve(build_problem(data, marks, vertices))
     vertices, reasons = observe_vertices(data, returns, first.body_from_lidar, located=True, tools=tools)
