@@ -19,7 +19,7 @@ from evaluator.mounting.mounting_model import KINDS, Problem, System
 # An observation is a blunder when its test's tail probability falls below this.
 BLUNDER = 1e-5
 _MOST_EXCHANGED = 6  # targets that nothing saw; where there are more it is another fault, and pairs would fit by chance
-_LOOSE_STD_M = 1e3  # stands for what is known of a surveyed place or height that was rejected
+LOOSE_STD_M = 1e3  # stands for what is known of a surveyed place or height that was rejected
 
 
 def snooping(
@@ -191,11 +191,11 @@ def without(problem: Problem, rejected: Sequence[str]) -> Problem:
         vertices=tuple(o for o in problem.vertices if describe_vertex(o) not in out),
         planes=tuple(o for o in problem.planes if describe_plane(o) not in out),
         surveyed={
-            t: replace(s, covariance_m2=_LOOSE_STD_M**2 * np.eye(3)) if describe_place(t) in out else s
+            t: replace(s, covariance_m2=LOOSE_STD_M**2 * np.eye(3)) if describe_place(t) in out else s
             for t, s in problem.surveyed.items()
         },
         panels={
-            p: replace(s, height_std_m=_LOOSE_STD_M) if describe_height(p) in out else s
+            p: replace(s, height_std_m=LOOSE_STD_M) if describe_height(p) in out else s
             for p, s in problem.panels.items()
         },
     )

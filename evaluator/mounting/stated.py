@@ -15,7 +15,7 @@ import scipy.linalg
 import scipy.optimize
 import scipy.stats
 
-from evaluator.mounting.blunders import BLUNDER
+from evaluator.mounting.blunders import BLUNDER, LOOSE_STD_M
 from evaluator.mounting.diagnosis import family_limit
 from evaluator.mounting.mounting_model import CLOCK_NAMES, System
 
@@ -220,6 +220,8 @@ def detectable_survey(system: System, fit: Fitted) -> dict[str, object]:
     ):
         lost = np.sqrt(_noncentrality(size))
         for k, name in enumerate(names):
+            if _is_free(system, name, size):
+                continue
             rows = np.zeros((system.size, size))
             rows[first + size * k + np.arange(size), np.arange(size)] = 1.0
             white = scipy.linalg.solve_triangular(fit.factor, rows, lower=True, check_finite=False)
@@ -232,6 +234,13 @@ def detectable_survey(system: System, fit: Fitted) -> dict[str, object]:
             of["horizontal"].append((lost / float(np.sqrt(max(least, 1e-12))), name))
             of["vertical"].append((lost / float(np.sqrt(max(w[2, 2], 1e-12))), name))
     return out | {kind: _greatest(values) for kind, values in of.items() if values}
+
+
+def _is_free(system: System, name: str, size: int) -> bool:
+    """Whether a surveyed place, or a height, was rejected: nothing is believed of it any more."""
+    surveyed, panels = system.problem.surveyed, system.problem.panels
+    std = panels[name].height_std_m if size == 1 else float(np.sqrt(np.max(np.diag(surveyed[name].covariance_m2))))
+    return std >= LOOSE_STD_M
 
 
 def _greatest(values: Sequence[tuple[float, str]]) -> Mapping[str, object]:

@@ -235,3 +235,20 @@ def test_a_panels_height_has_a_least_error_too() -> None:
     one = np.linalg.solve(fit.factor, np.eye(len(fit.factor))[row])
     free = one - fit.design @ fit.covariance @ fit.design.T @ one
     assert worst["error_m"] == pytest.approx((4.4172 + 1.6449) / np.sqrt(free @ free), rel=1e-3)
+
+
+def test_a_place_that_was_left_out_has_no_least_error() -> None:
+    """Rationale: the place of a rejected target is free; "found from 6561 m" stood in a campaign's results. Expected: named, and
+    the least error is that of another target, of the size it has without the blunder."""
+    problem = flight(4)
+    first = solve_mountings(problem).companions["detectable_survey_error"]
+    surveyed = dict(problem.surveyed)
+    target = next(iter(surveyed))
+    wrong = replace(surveyed[target], mark_world_m=surveyed[target].mark_world_m + np.array([0.08, -0.06, 0.0]))
+    solution = solve_mountings(replace(problem, surveyed=surveyed | {target: wrong}))
+    assert solution.rejected == (f"surveyed place of {target}",)
+    second = solution.companions["detectable_survey_error"]
+    assert isinstance(first, dict) and isinstance(second, dict)
+    for way in ("horizontal", "vertical"):
+        assert second[way]["target"] != target
+        assert second[way]["error_m"] == pytest.approx(first[way]["error_m"], rel=0.2)
