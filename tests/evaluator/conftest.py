@@ -1,5 +1,6 @@
 """A campaign and an evaluation written by hand: round figures that a reader can check, no file of a simulator involved."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from campaign.folder import CampaignFolder
 from campaign.manifest import Manifest
 from campaign.sensors import Calibration, CameraSheet, LidarSheet, MountingSheet, NavigationSheet, Rig
 from campaign.survey import Spectra, SurveyedTarget
+from campaign.threads import one_blas_thread
 from evaluator.conformity import ConformityInputs, conformity_rows
 from evaluator.frames import WorldFrame, euler_rotation
 from evaluator.model import (
@@ -229,6 +231,13 @@ def _plan() -> FlightPlan:
         instruments={"reference_panel": "flatness 2 %"},
         strips=strips,
     )
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> Iterator[None]:
+    """As the evaluator runs: many small matrices are slower by many threads."""
+    with one_blas_thread():
+        yield
 
 
 @pytest.fixture

@@ -2,14 +2,12 @@
 
 import json
 import runpy
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from campaign.threads import one_blas_thread
 from evaluator.camera_model import lens_from_vector, lens_vector
 from evaluator.mounting.adjustment import fit_problem, solve_mountings
 from evaluator.mounting.closure import closure
@@ -24,13 +22,6 @@ LENS = {
     "camera_cy_px": np.eye(9)[3],
     "camera_k1": np.eye(9)[4],
 }
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> Iterator[None]:
-    """As the evaluator runs: many small matrices are slower by many threads."""
-    with one_blas_thread():
-        yield
 
 
 def stale(problem: Problem, change: np.ndarray) -> Problem:
